@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tightly coupled INS/GPS with carrier-phase differences and DGPS."""

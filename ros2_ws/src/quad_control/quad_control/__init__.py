@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kalman attitude, PID control, mixer and tuning of an X quadcopter."""

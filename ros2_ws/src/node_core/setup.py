@@ -20,7 +20,7 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="The thin layer over rclpy shared by all estimator nodes: ports, parameters, diagnostics, lock-step.",
+    description='The thin layer over rclpy shared by all estimator nodes: ports, parameters, diagnostics, lock-step.',
     license='Apache-2.0',
     entry_points={'console_scripts': []},
 )

@@ -49,7 +49,7 @@ def allowed(field: dataclasses.Field) -> str:
     if meta.get('choices'):
         return ' | '.join(meta['choices'])
     low, high = meta.get('min'), meta.get('max')
-    unit = f' {meta["unit"]}' if meta.get('unit') else ''
+    unit = f' {meta["unit"]}' if meta.get('unit') not in (None, '', '1') else ''
     if low is None and high is None:
         return 'any'
     if high is None:

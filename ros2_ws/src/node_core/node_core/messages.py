@@ -55,7 +55,7 @@ def set_quaternion(quaternion: Any, q: Sequence[float]) -> None:
 
 
 def get_quaternion(quaternion: Any) -> np.ndarray:
-    """Return a geometry_msgs/Quaternion as (4,) wxyz of unit norm; raise BadMessage when it is no rotation."""
+    """Return a geometry_msgs/Quaternion as (4,) wxyz of unit norm; raise BadMessage when its norm is off."""
     q = np.array([quaternion.w, quaternion.x, quaternion.y, quaternion.z])
     norm = float(np.sqrt(q @ q))
     if not 0.5 < norm < 2.0:  # also rejects NaN; drivers round, but never by half

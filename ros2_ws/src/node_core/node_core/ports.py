@@ -47,7 +47,8 @@ class Ports:
     """All inputs and, by class of estimate, all outputs of one estimator.
 
     `estimator` builds it from its parameters: ``estimator(params)``. Handlers return None, one estimate, or
-    a list of estimates; each estimate goes to the output of its class.
+    a list of estimates; each estimate goes to the output of its class. `warm` compiles or loads the kernels
+    before a node subscribes, so that the first sample does not wait for a compiler.
     """
 
     name: str
@@ -55,3 +56,4 @@ class Ports:
     estimator: Callable[[Any], Any]
     inputs: tuple[Input, ...]
     outputs: Mapping[type, Output]
+    warm: Callable[[], None] | None = None

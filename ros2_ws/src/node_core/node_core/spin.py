@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs a node as a process: arguments, clean exit on Ctrl-C, one clear line for bad parameters."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+_ROS_FLAGS = ('-p', '--param', '-r', '--remap', '--params-file')
+EXIT_USAGE = 2
+
+
+def ros_arguments(argv: list[str]) -> list[str]:
+    """Return `argv` with ``--ros-args`` put before the first ROS flag where the user left it out."""
+    if '--ros-args' in argv:
+        return argv
+    for index, argument in enumerate(argv):
+        if argument in _ROS_FLAGS:
+            return [*argv[:index], '--ros-args', *argv[index:]]
+    return argv
+
+
+def fail(message: str) -> int:
+    """Print one line for a usage error and return the exit code for it."""
+    print(f'{Path(sys.argv[0]).name}: {message}', file=sys.stderr)
+    return EXIT_USAGE
+
+
+def run(build: Callable[[], Any], argv: list[str] | None = None) -> int:
+    """Build a node and spin it until it is told to stop; return the exit code.
+
+    `build` does its imports itself: loading compiled kernels takes a second, and Ctrl-C in that second has
+    to be as clean as later. A node may have ``exit_code`` to end with another code than 0.
+    """
+    try:
+        return _run(build, sys.argv if argv is None else argv)
+    except KeyboardInterrupt:
+        return 0
+
+
+def _run(build: Callable[[], Any], argv: list[str]) -> int:
+    import rclpy
+    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy.exceptions import ParameterException
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    from kalman_core.parameters import ParameterError
+
+    try:
+        rclpy.init(args=ros_arguments(argv))
+    except (RCLError, RuntimeError) as error:
+        return fail(_one_line(error))
+    node = None
+    try:
+        node = build()
+        # The kernels and message types live as long as the process: the collector need not walk them.
+        gc.collect()
+        gc.freeze()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (ParameterError, ParameterException, RCLError) as error:
+        if not rclpy.ok():  # Ctrl-C while the node was being made
+            return 0
+        return fail(_one_line(error))
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return int(getattr(node, 'exit_code', 0))
+
+
+def _one_line(error: BaseException) -> str:
+    return ' '.join(str(error).split())

@@ -20,7 +20,15 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="Attitude from inertial sensors: the two-state angle filter and a 9-axis error-state filter, simulator and MPU6050 driver.",
+    description=(
+        'Attitude from inertial sensors: the two-state angle filter and a 9-axis error-state filter, '
+        'simulator and MPU6050 driver.'
+    ),
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            f'{node} = {package_name}.nodes.{node}:main'
+            for node in ('angle_estimator', 'attitude_estimator', 'imu_simulator', 'mpu6050_driver')
+        ]
+    },
 )

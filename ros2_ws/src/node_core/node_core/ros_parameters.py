@@ -115,6 +115,17 @@ class NodeParameters:
 
     def _apply(self, parameters: list[Parameter]) -> None:
         merged = self._merged(parameters)
+        # A whole number given for a float is stored as the float, so that others read the declared type.
+        floats = [
+            Parameter(p.name, Parameter.Type.DOUBLE, float(p.value))
+            for p in parameters
+            if p.type_ == Parameter.Type.INTEGER
+            and p.name in self._fields
+            and isinstance(self._fields[p.name][1].default, float)
+        ]
+        if floats:
+            self._node.set_parameters(floats)
+            return
         if merged:
             self._values.update(merged)
             for listener in self._listeners:

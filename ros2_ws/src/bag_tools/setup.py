@@ -20,7 +20,7 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="Play, record, run offline, score, report and import rosbags for estimator graphs.",
+    description='Play, record, run offline, score, report and import rosbags for estimator graphs.',
     license='Apache-2.0',
     entry_points={'console_scripts': []},
 )

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS command-line arguments without ROS: ``--ros-args -p name:=value --params-file f.yaml -r a:=b``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from bag_tools.bag import BagError, resolve
+
+# rclpy declares these on every node, WorkspaceNode the rest: accepted offline, where they mean nothing.
+_NODE_ONLY = ('use_sim_time', 'lockstep', 'queue_depth', 'start_type_description_service')
+
+
+@dataclass(slots=True)
+class RosArguments:
+    """What followed ``--ros-args``: parameter overrides, parameter files and remaps, in order."""
+
+    parameters: list[tuple[str, Any]] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+    remaps: dict[str, str] = field(default_factory=dict)
+
+
+def split(argv: list[str]) -> tuple[list[str], list[str]]:
+    """Return (own arguments, ROS arguments); the latter lie between ``--ros-args`` and ``--``."""
+    own: list[str] = []
+    ros: list[str] = []
+    inside = False
+    for argument in argv:
+        if argument == '--ros-args':
+            inside = True
+        elif inside and argument == '--':
+            inside = False
+        else:
+            (ros if inside else own).append(argument)
+    return own, ros
+
+
+def assignment(text: str, what: str) -> tuple[str, str]:
+    """Return (name, value) of ``name:=value``; raise BagError when it is not one."""
+    name, mark, value = text.partition(':=')
+    if not mark or not name or not value:
+        raise BagError(f"{what} '{text}' is malformed; expected name:=value")
+    return name, value
+
+
+def parse(arguments: list[str]) -> RosArguments:
+    """Parse ROS arguments; raise BagError for what is malformed or not supported offline."""
+    result = RosArguments()
+    rest = iter(arguments)
+    for flag in rest:
+        if flag not in ('-p', '--param', '-r', '--remap', '--params-file', '--log-level'):
+            raise BagError(f"ROS argument '{flag}' is not supported; expected -p, -r or --params-file")
+        value = next(rest, None)
+        if value is None:
+            raise BagError(f"ROS argument '{flag}' lacks its value")
+        if flag in ('-p', '--param'):
+            name, text = assignment(value, 'parameter')
+            try:
+                result.parameters.append((name.split(':')[-1], yaml.safe_load(text)))
+            except yaml.YAMLError:
+                raise BagError(f"parameter '{name}' has the value '{text}'; expected YAML") from None
+        elif flag == '--params-file':
+            result.files.append(Path(value))
+        elif flag in ('-r', '--remap'):
+            name, target = assignment(value, 'remap')
+            result.remaps[name] = target
+    return result
+
+
+def file_parameters(path: Path, node: str) -> dict[str, Any]:
+    """Return the parameters that `path` holds for `node` (``/**``, ``/name`` or ``name`` sections)."""
+    try:
+        document = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise BagError(f'{path}: cannot be read ({error.strerror}); expected a ROS parameter file') from error
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise BagError(f'{path}: is not YAML; expected a ROS parameter file') from None
+    if not isinstance(document, dict):
+        raise BagError(f'{path}: is empty; expected node_name: ros__parameters: ...')
+    values: dict[str, Any] = {}
+    for section, body in document.items():
+        if str(section).lstrip('/') not in ('**', '*', node):
+            continue
+        if not isinstance(body, dict) or not isinstance(body.get('ros__parameters'), dict):
+            raise BagError(f"{path}: section '{section}' lacks 'ros__parameters:'")
+        values.update(body['ros__parameters'])
+    return values
+
+
+def estimator_parameters(arguments: RosArguments, node: str) -> dict[str, Any]:
+    """Return the values for an estimator's dataclass: files first, then -p; node-only names are dropped."""
+    values: dict[str, Any] = {}
+    for path in arguments.files:
+        values.update(file_parameters(path, node))
+    values.update(arguments.parameters)
+    return {name: value for name, value in values.items() if name not in _NODE_ONLY}
+
+
+def remapped(topic: str, remaps: dict[str, str], node: str = '/') -> str:
+    """Return the full name of `topic` after `remaps` (relative or absolute names on either side)."""
+    full = resolve(topic, node)
+    for source, target in remaps.items():
+        if resolve(source, node) == full:
+            return resolve(target, node)
+    return full

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'workspace_harness'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/config', glob('config/*.yaml')),
+    ],
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    package_data={package_name: ['py.typed']},
+    zip_safe=True,
+    maintainer='Estimator workspace maintainers',
+    maintainer_email='maintainers@estimator-workspace.invalid',
+    description="The launch-free harness: starts node processes, replays bags through the graph, compares.",
+    license='Apache-2.0',
+    entry_points={'console_scripts': []},
+)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the attitude estimators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kalman_core.parameters import parameter
+
+
+@dataclass(frozen=True, slots=True)
+class TwoStateParams:
+    """The two-state filter of paper 004 for roll and pitch, with integrated yaw."""
+
+    variant: str = parameter(
+        'corrected',
+        'published: covariance update in the printed order; corrected: in its right order',
+        choices=('published', 'corrected'),
+    )
+    start: str = parameter(
+        'accelerometer',
+        'first angle: from the accelerometer, or zero with zero covariance as printed',
+        choices=('accelerometer', 'zero'),
+    )
+    angle_noise: float = parameter(
+        5e-3, 'process noise of an angle (Q_angle)', unit='rad^2/s', minimum=0.0, maximum=1e3
+    )
+    bias_noise: float = parameter(
+        3e-3, 'random walk of a bias (Q_bias)', unit='(rad/s)^2/s', minimum=0.0, maximum=1e3
+    )
+    measurement_variance: float = parameter(
+        3e-2, 'variance of an accelerometer angle (R_measure)', unit='rad^2', minimum=1e-12, maximum=1e6
+    )
+    bias_sigma: float = parameter(
+        0.05, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=0.0, maximum=10.0
+    )
+    gyro_noise: float = parameter(
+        1e-4,
+        'white noise of the gyro, for the growth of yaw',
+        unit='rad/s/sqrt(Hz)',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    accel_noise: float = parameter(
+        0.05, 'white noise of one specific force sample', unit='m/s^2', minimum=0.0, maximum=100.0
+    )
+    gimbal_limit: float = parameter(
+        1.4, 'beyond this pitch roll is not corrected and yaw is lost', unit='rad', minimum=0.1, maximum=1.55
+    )
+    min_force: float = parameter(
+        0.5, 'weaker specific force has no usable direction', unit='m/s^2', minimum=1e-3, maximum=9.0
+    )
+    max_force: float = parameter(
+        1000.0, 'larger specific force is rejected', unit='m/s^2', minimum=10.0, maximum=1e5
+    )
+    max_rate: float = parameter(
+        100.0, 'larger angular velocity is rejected', unit='rad/s', minimum=1.0, maximum=1e4
+    )
+    max_gap: float = parameter(
+        1.0,
+        'after a longer gap the angles start anew from the accelerometer',
+        unit='s',
+        minimum=0.01,
+        maximum=10.0,
+    )
+    lag_window: float = parameter(
+        0.5, 'largest delay of arrival that is repaired; 0 = none', unit='s', minimum=0.0, maximum=5.0
+    )
+    settled_output: bool = parameter(False, 'publish imu/data_settled, lag_window behind')
+    frame_id: str = parameter('', 'accept only this frame; empty = any')
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeParams:
+    """The 6- or 9-axis error-state filter."""
+
+    use_magnetometer: bool = parameter(True, 'correct heading with imu/mag; false = 6-axis')
+    block: float = parameter(
+        0.05,
+        'span over which samples are pre-integrated before one update',
+        unit='s',
+        minimum=0.005,
+        maximum=0.5,
+    )
+    gyro_noise: float = parameter(
+        8.7e-4, 'attitude process noise at rest', unit='rad/s/sqrt(Hz)', minimum=1e-6, maximum=1.0
+    )
+    rate_noise: float = parameter(
+        0.01,
+        'attitude process noise per angular velocity (scale factor, alignment, timing)',
+        unit='rad/sqrt(rad*rad/s)',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    bias_walk: float = parameter(
+        5.2e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0, maximum=0.1
+    )
+    bias_sigma: float = parameter(
+        0.0175, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=1e-6, maximum=1.0
+    )
+    accel_noise: float = parameter(
+        0.02, 'white noise of the accelerometer', unit='m/s^2/sqrt(Hz)', minimum=1e-6, maximum=10.0
+    )
+    tilt_sigma: float = parameter(
+        0.2, 'roll and pitch of the first sample, one sigma', unit='rad', minimum=1e-3, maximum=3.0
+    )
+    motion_frequency: float = parameter(
+        0.1,
+        'below this frequency linear acceleration vanishes (motion is bounded)',
+        unit='Hz',
+        minimum=1e-3,
+        maximum=10.0,
+    )
+    motion_damping: float = parameter(0.7, 'damping of the motion model', minimum=0.05, maximum=5.0)
+    motion_noise: float = parameter(
+        0.3,
+        'least linear acceleration expected above motion_frequency',
+        unit='m/s^2/sqrt(Hz)',
+        minimum=1e-3,
+        maximum=100.0,
+    )
+    motion_memory: float = parameter(
+        2.0,
+        'time constant with which the measured level of linear acceleration decays',
+        unit='s',
+        minimum=0.05,
+        maximum=100.0,
+    )
+    rest_rate: float = parameter(
+        5.2e-3,
+        'at rest block means of the rate stay this close together',
+        unit='rad/s',
+        minimum=1e-5,
+        maximum=1.0,
+    )
+    rest_force: float = parameter(
+        0.1,
+        'at rest block means of the specific force stay this close together',
+        unit='m/s^2',
+        minimum=1e-3,
+        maximum=10.0,
+    )
+    rest_time: float = parameter(
+        1.5, 'quiet time before rest is believed', unit='s', minimum=0.1, maximum=60.0
+    )
+    rest_noise: float = parameter(
+        2.8e-4,
+        'noise of the rate at rest as a measurement of the bias',
+        unit='rad/s/sqrt(Hz)',
+        minimum=1e-7,
+        maximum=1.0,
+    )
+    mag_noise: float = parameter(
+        0.0873, 'noise of the magnetic heading', unit='rad/sqrt(Hz)', minimum=1e-5, maximum=10.0
+    )
+    mag_norm_gate: float = parameter(
+        0.1, 'relative deviation of the field strength that is rejected beyond', minimum=0.001, maximum=1.0
+    )
+    mag_dip_gate: float = parameter(
+        0.1745, 'deviation of the dip that is rejected beyond', unit='rad', minimum=0.001, maximum=3.2
+    )
+    mag_memory: float = parameter(
+        20.0,
+        'time constant with which strength and dip of the accepted field are followed',
+        unit='s',
+        minimum=0.1,
+        maximum=1e4,
+    )
+    mag_recovery: float = parameter(
+        20.0,
+        'a different field steady for this long becomes the new reference',
+        unit='s',
+        minimum=0.1,
+        maximum=1e4,
+    )
+    max_rate: float = parameter(
+        100.0, 'larger angular velocity is rejected', unit='rad/s', minimum=1.0, maximum=1e4
+    )
+    max_force: float = parameter(
+        320.0, 'larger specific force is rejected', unit='m/s^2', minimum=10.0, maximum=1e5
+    )
+    min_force: float = parameter(
+        0.5, 'weaker specific force cannot start the filter', unit='m/s^2', minimum=1e-3, maximum=9.0
+    )
+    max_field: float = parameter(0.01, 'larger field is rejected', unit='T', minimum=1e-4, maximum=10.0)
+    max_gap: float = parameter(
+        1.0,
+        'after a longer gap attitude starts anew from the next sample; the bias is kept',
+        unit='s',
+        minimum=0.02,
+        maximum=9.0,
+    )
+    bias_period: float = parameter(
+        1.0,
+        'imu/bias is published once in this time; 0 = with every sample',
+        unit='s',
+        minimum=0.0,
+        maximum=1e3,
+    )
+    lag_window: float = parameter(
+        0.5, 'largest delay of arrival that is repaired; 0 = none', unit='s', minimum=0.0, maximum=5.0
+    )
+    settled_output: bool = parameter(False, 'publish imu/data_settled, lag_window behind')
+    frame_id: str = parameter('', 'accept only this frame; empty = any')

@@ -20,7 +20,7 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="Kalman filter numerics without ROS: kernels, rotations, WGS-84, event time, consistency tests.",
+    description='Kalman filter numerics without ROS: kernels, rotations, WGS-84, event time, consistency tests.',
     license='Apache-2.0',
     entry_points={'console_scripts': []},
 )

@@ -8,6 +8,7 @@ settled estimates do not depend on the order of arrival. Beyond the window it is
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -16,9 +17,16 @@ import numpy as np
 from kalman_core.health import Tally
 
 NANOSECONDS = 1_000_000_000
+TOO_OLD = 'older than the lag window'
+AHEAD = 'stamp ahead of time'
+DUPLICATE = 'duplicate stamp'
+
 # Consecutive samples outside the time window, none inside in between, before the clock is believed to have
 # jumped. One wild stamp must not restart a filter; a bag loop must, within 0.1 s at 100 Hz.
 _JUMP_CONFIRMATIONS = 10
+# The same without the sensor that is usually the busiest: a burst of old samples from a slow one (a radio
+# link that recovers) is no jump of the clock, but a busy sensor that died must not block the others for ever.
+_JUMP_CONFIRMATIONS_ALONE = 100
 # Settled entries are dropped from the front of the lists in blocks, which keeps appending O(1).
 _COMPACT = 256
 
@@ -64,14 +72,17 @@ class EventTimeBuffer:
 
     def clear(self) -> None:
         """Forget all samples; the model is left alone."""
+        # Parallel columns in order of key; entries before `_head` are settled.
         self._keys: list[tuple[int, int]] = []
         self._samples: list[Any] = []
         self._before: list[np.ndarray] = []
         self._estimates: list[Any] = []
         self._head = 0
         self._newest: int | None = None
-        self._outside = 0
-        self._outside_stamp = 0
+        # Stamps below the floor are settled and closed; it is `window` behind the newest stamp.
+        self._floor = 0
+        self._busiest: int | None = None
+        self._outside: list[tuple[int, Any]] = []
 
     @property
     def newest(self) -> int | None:
@@ -91,43 +102,39 @@ class EventTimeBuffer:
         stamp = sample.stamp
         newest = self._newest
         if newest is None:
-            self._newest = newest = stamp
-        elif stamp > newest + self._max_gap or stamp < newest - self._window:
-            if not self._jumped(port, stamp, newest):
-                return None, []
-            newest = stamp
-        self._outside = 0
+            self._floor = stamp - self._window
+        elif stamp > newest + self._max_gap or stamp < self._floor:
+            return self._feed_outside(port, sample)
+        if self._outside:
+            self._clear_outside(port)
         key = (stamp, port)
         keys = self._keys
         if not keys or key > keys[-1]:
-            estimate = self._append(key, sample)
+            before = self._model.state.copy()
+            estimate = self._model.apply(port, sample)
+            keys.append(key)
+            self._samples.append(sample)
+            self._before.append(before)
+            self._estimates.append(estimate)
             self._newest = stamp
             return estimate, self._settle(stamp)
         index = bisect_left(keys, key, self._head)
         if keys[index] == key:
-            self._tally.reject(self._names[port], 'duplicate stamp')
-            return None, []
-        self._insert(index, key, sample)
+            self._tally.reject(self._names[port], DUPLICATE)
+        else:
+            self._insert(index, key, sample)
         # The newest stamp is unchanged, and nothing within the window of it is settled: nothing to hand out.
         return None, []
 
-    def _append(self, key: tuple[int, int], sample: Any) -> Any:
-        self._keys.append(key)
-        self._samples.append(sample)
-        self._before.append(self._model.state.copy())
-        estimate = self._model.apply(key[1], sample)
-        self._estimates.append(estimate)
-        return estimate
-
     def _insert(self, index: int, key: tuple[int, int], sample: Any) -> None:
+        """Roll back to `index`, use the late sample there and re-apply all that follow it."""
         model = self._model
         model.state[:] = self._before[index]
         self._keys.insert(index, key)
         self._samples.insert(index, sample)
         self._before.insert(index, self._before[index])
-        self._estimates.insert(index, None)
         # The late sample itself is counted; those after it were counted when they came.
-        self._estimates[index] = model.apply(key[1], sample)
+        self._estimates.insert(index, model.apply(key[1], sample))
         muted, self._tally.muted = self._tally.muted, True
         for i in range(index + 1, len(self._keys)):
             self._before[i] = model.state.copy()
@@ -135,35 +142,95 @@ class EventTimeBuffer:
         self._tally.muted = muted
 
     def _settle(self, newest: int) -> list[Any]:
-        horizon = newest - self._window
-        settled = []
+        """Move the floor to `window` behind `newest` and return the estimates that fell below it."""
+        floor = newest - self._window
+        settled: list[Any] = []
+        if floor <= self._floor:
+            return settled
+        self._floor = floor
         head = self._head
         keys = self._keys
-        while keys[head][0] < horizon:
+        while keys[head][0] < floor:
             if self._estimates[head] is not None:
                 settled.append(self._estimates[head])
             head += 1
-        self._head = head
         if head > _COMPACT:
-            for column in (self._keys, self._samples, self._before, self._estimates):
-                del column[:head]
-            self._head = 0
+            self._busiest = self._busiest_port()
+            # One settled entry stays: `_undo_leap` asks what came before the first open one.
+            for column in (keys, self._samples, self._before, self._estimates):
+                del column[: head - 1]
+            head = 1
+        self._head = head
         return settled
 
-    def _jumped(self, port: int, stamp: int, newest: int) -> bool:
-        """Count a sample outside the window; restart and return True when the clock itself has jumped."""
-        late = stamp < newest
-        self._tally.reject(self._names[port], 'older than the lag window' if late else 'stamp ahead of time')
-        consistent = abs(stamp - self._outside_stamp) <= self._window + self._max_gap
-        self._outside = self._outside + 1 if self._outside and consistent else 1
-        self._outside_stamp = stamp
-        if self._outside < _JUMP_CONFIRMATIONS:
-            return False
-        seconds = abs(stamp - newest) / NANOSECONDS
-        reason = f'time jumped {"back" if late else "forward"} by {seconds:.3f} s'
+    def _busiest_port(self) -> int:
+        return Counter(port for _, port in self._keys).most_common(1)[0][0]
+
+    def _known_busiest(self) -> int:
+        return self._busiest_port() if self._busiest is None else self._busiest
+
+    def _clear_outside(self, port: int) -> None:
+        """Drop what was set aside: a sample of `port` inside the window shows that the clock still runs.
+
+        Unless `port` is a slow sensor and others are set aside: then its own clock may be the wrong one.
+        """
+        if port == self._known_busiest() or any(port == other for other, _ in self._outside):
+            self._outside.clear()
+
+    def _feed_outside(self, port: int, sample: Any) -> tuple[Any, list[Any]]:
+        """Set aside a sample outside the window; once enough agree that the clock has jumped, use them."""
+        stamp = sample.stamp
+        self._tally.reject(self._names[port], self._reason(stamp))
+        outside = self._outside
+        if outside and abs(stamp - outside[-1][1].stamp) > self._window + self._max_gap:
+            outside.clear()
+        outside.append((port, sample))
+        busiest = self._known_busiest()
+        together = any(other == busiest for other, _ in outside)
+        if len(outside) < (_JUMP_CONFIRMATIONS if together else _JUMP_CONFIRMATIONS_ALONE):
+            return None, []
+        for other, earlier in outside:
+            self._tally.withdraw(self._names[other], self._reason(earlier.stamp))
+        if not self._undo_leap(outside[0][1].stamp):
+            self._restart(stamp)
+        prompt, settled = None, []
+        self._outside = []
+        for other, earlier in outside:
+            prompt, more = self.feed(other, earlier)
+            settled += more
+        return prompt, settled
+
+    def _reason(self, stamp: int) -> str:
+        return TOO_OLD if stamp < self._floor else AHEAD
+
+    def _restart(self, stamp: int) -> None:
+        assert self._newest is not None
+        seconds = (stamp - self._newest) / NANOSECONDS
+        reason = f'time jumped {"back" if seconds < 0.0 else "forward"} by {abs(seconds):.3f} s'
         self._tally.restart(reason)
         self.reset()
-        self._newest = stamp
         if self._on_restart is not None:
             self._on_restart(reason)
+
+    def _undo_leap(self, stamp: int) -> bool:
+        """Take back the samples whose stamps had leapt ahead, if the clock is back where it was before them.
+
+        `stamp` is the first of those that contradict them. What was settled because of the leap stays so.
+        """
+        keys = self._keys
+        first = bisect_left(keys, (stamp + self._window + 1, 0))
+        if not 0 < first < len(keys):
+            return False
+        base = keys[first - 1][0]
+        leapt = keys[first][0] - base > self._window
+        if not leapt or not base - self._window <= stamp <= base + self._max_gap:
+            return False
+        for _, port in keys[first:]:
+            self._tally.reject(self._names[port], AHEAD)
+        self._model.state[:] = self._before[first]
+        for column in (keys, self._samples, self._before, self._estimates):
+            del column[first:]
+        self._head = first
+        self._newest = base
+        self._floor = base + 1
         return True

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field
 
 # Smoothing of the reported mean NIS: a window of about 50 updates.
 _NIS_WEIGHT = 0.02
+# Bound of the list of restarts, for a clock that flaps for days.
+_RESTARTS_KEPT = 1000
 
 
 @dataclass(slots=True)
@@ -30,6 +33,7 @@ class Tally:
     def __init__(self) -> None:
         self.sensors: dict[str, SensorTally] = {}
         self.restarts: list[str] = []
+        self.restart_count = 0
         self.muted = False
 
     def sensor(self, name: str) -> SensorTally:
@@ -46,7 +50,7 @@ class Tally:
         entry = self.sensor(name)
         entry.accepted += 1
         entry.last_stamp = stamp
-        if nis is not None:
+        if nis is not None and math.isfinite(nis):
             entry.nis = nis if entry.nis is None else entry.nis + _NIS_WEIGHT * (nis - entry.nis)
             entry.gate = gate
 
@@ -55,6 +59,21 @@ class Tally:
         if not self.muted:
             self.sensor(name).rejected[reason] += 1
 
+    def withdraw(self, name: str, reason: str) -> None:
+        """Take back one `reject`: the sample is used after all."""
+        rejected = self.sensor(name).rejected
+        if rejected[reason] > 1:
+            rejected[reason] -= 1
+        else:
+            del rejected[reason]
+
     def restart(self, reason: str) -> None:
-        """Record that the estimator started anew by itself, and why."""
-        self.restarts.append(reason)
+        """Record that the estimator started anew by itself, and why.
+
+        After 1000 the latest reason replaces the one before it; `restart_count` goes on.
+        """
+        self.restart_count += 1
+        if len(self.restarts) < _RESTARTS_KEPT:
+            self.restarts.append(reason)
+        else:
+            self.restarts[-1] = reason

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from numbers import Real
 from typing import Any, TypeVar
 
 P = TypeVar('P')
@@ -53,26 +54,33 @@ def allowed(field: dataclasses.Field) -> str:
     if low is None and high is None:
         return 'any'
     if high is None:
-        return f'>= {low:g}{unit}'
+        return f'>= {_short(low)}{unit}'
     if low is None:
-        return f'<= {high:g}{unit}'
-    return f'{low:g} … {high:g}{unit}'
+        return f'<= {_short(high)}{unit}'
+    return f'{_short(low)} … {_short(high)}{unit}'
+
+
+def _short(value: Any) -> str:
+    """Return a number in its shortest form that keeps all its digits."""
+    text = f'{value:g}'
+    return text if float(text) == value else repr(value)
 
 
 def _coerce_number(field: dataclasses.Field, value: Any, kind: type) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise ParameterError(f"parameter '{field.name}' is {value!r}, expected {kind.__name__}")
-    if kind is int:
-        if value != int(value):
-            raise ParameterError(f"parameter '{field.name}' is {value!r}, expected a whole number")
-        value = int(value)
-    else:
-        value = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     low, high = field.metadata.get('min'), field.metadata.get('max')
-    finite = math.isfinite(value)
-    if not finite or (low is not None and value < low) or (high is not None and value > high):
-        raise ParameterError(f"parameter '{field.name}' is {value:g}, allowed: {allowed(field)}")
-    return value
+    if not math.isfinite(number) or (low is not None and value < low) or (high is not None and value > high):
+        raise ParameterError(f"parameter '{field.name}' is {_short(number)}, allowed: {allowed(field)}")
+    if kind is float:
+        return number
+    if number != int(number):
+        raise ParameterError(f"parameter '{field.name}' is {_short(number)}, expected a whole number")
+    return int(value)  # type: ignore[call-overload]
 
 
 def coerce(field: dataclasses.Field, value: Any) -> Any:
@@ -92,9 +100,13 @@ def coerce(field: dataclasses.Field, value: Any) -> Any:
             raise ParameterError(f"parameter '{field.name}' is {value!r}, allowed: {expected}")
         return value
     if isinstance(default, tuple):
-        if isinstance(value, str | bytes) or not hasattr(value, '__iter__'):
+        try:
+            values = () if isinstance(value, str | bytes) else tuple(value)
+        except TypeError:
+            values = ()
+        if not values and default:
             raise ParameterError(f"parameter '{field.name}' is {value!r}, expected a list of numbers")
-        items = tuple(_coerce_number(field, item, float) for item in value)
+        items = tuple(_coerce_number(field, item, float) for item in values)
         if len(items) != len(default):
             raise ParameterError(
                 f"parameter '{field.name}' has {len(items)} elements, expected {len(default)}"
@@ -126,11 +138,11 @@ def markdown_table(cls: type) -> str:
             f'`{field.name}`',
             f'`{default}`',
             meta.get('unit') or '–',
-            allowed(field).replace('|', '\\|'),
+            allowed(field),
             'yes' if meta.get('live') else 'restart',
             meta.get('text', ''),
         )
-        rows.append('| ' + ' | '.join(cells) + ' |')
+        rows.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
     return '\n'.join(rows)
 
 
@@ -138,18 +150,20 @@ def default_yaml(cls: type, node_name: str) -> str:
     """Return a ROS parameter file with the defaults of `cls` for `node_name`, one comment a line."""
     lines = ['# SPDX-License-Identifier: Apache-2.0', f'{node_name}:', '  ros__parameters:']
     for field in dataclasses.fields(cls):
-        value = field.default
-        if isinstance(value, bool):
-            text = 'true' if value else 'false'
-        elif isinstance(value, tuple):
-            text = '[' + ', '.join(repr(float(v)) for v in value) + ']'
-        elif isinstance(value, str):
-            text = f"'{value}'"
-        elif isinstance(value, float):
-            # YAML 1.1 readers take 1e-06 for a string: a mantissa with a point keeps it a number.
-            text = repr(value) if 'e' not in repr(value) or '.' in repr(value) else f'{value:.1e}'
-        else:
-            text = repr(value)
         unit = f' [{field.metadata["unit"]}]' if field.metadata.get('unit') else ''
-        lines.append(f'    {field.name}: {text}  # {field.metadata.get("text", "")}{unit}')
+        comment = f'{field.metadata.get("text", "")}{unit}'
+        lines.append(f'    {field.name}: {_yaml(field.default)}  # {comment}')
     return '\n'.join(lines) + '\n'
+
+
+def _yaml(value: Any) -> str:
+    """Return a parameter's value as YAML that every reader takes for the same type."""
+    if isinstance(value, bool):
+        return 'true' if value else 'false'
+    if isinstance(value, tuple):
+        return '[' + ', '.join(_yaml(float(item)) for item in value) + ']'
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''") + "'"
+    text = repr(value)
+    # YAML 1.1 readers take 1e-06 for a string: a mantissa with a point keeps it a number.
+    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text

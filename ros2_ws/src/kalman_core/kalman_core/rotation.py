@@ -17,8 +17,20 @@ _SMALL_ANGLE = 1e-4
 
 @njit(cache=True, nogil=True)
 def wrap(angle):
-    """Return `angle` (rad) wrapped to [-pi, pi)."""
-    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+    """Return `angle` (rad) wrapped to [-pi, pi), unchanged to the last bit when already there."""
+    if -math.pi <= angle < math.pi:
+        return angle
+    # math.floor makes integers, which overflow and raise on what is not finite; np.floor keeps floats.
+    wrapped = angle - 2.0 * math.pi * np.floor((angle + math.pi) / (2.0 * math.pi))
+    if wrapped >= math.pi:  # by rounding
+        return -math.pi
+    return wrapped
+
+
+def wrap_array(angles) -> np.ndarray:
+    """Return an array of angles (rad) of any shape wrapped to [-pi, pi)."""
+    angles = np.asarray(angles, dtype=np.float64)
+    return (angles + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @njit(cache=True, nogil=True)

@@ -22,5 +22,16 @@ setup(
     maintainer_email='maintainers@estimator-workspace.invalid',
     description='Play, record, run offline, score, report and import rosbags for estimator graphs.',
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            'play = bag_tools.nodes.play:main',
+            'record = bag_tools.nodes.record:main',
+            'offline = bag_tools.offline:main',
+            'score = bag_tools.score:main',
+            'report = bag_tools.report:main',
+            'import = bag_tools.import_data:main',
+            'info = bag_tools.info:main',
+            'compare = bag_tools.compare:main',
+        ]
+    },
 )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +53,9 @@ def combined(hashes: dict[str, str]) -> str:
 def flatten(value: Any, path: str = '') -> Iterator[tuple[str, Any]]:
     """Yield (field path, leaf value) of a decoded message, numpy arrays element by element."""
     if is_dataclass(value):
-        for field in fields(value):  # leaves out the constants of the message, which are class variables
-            yield from flatten(getattr(value, field.name), f'{path}.{field.name}' if path else field.name)
+        for field in fields(value):
+            if field.default is MISSING:  # rosbags' classes carry the message's constants as defaults
+                yield from flatten(getattr(value, field.name), f'{path}.{field.name}' if path else field.name)
     elif isinstance(value, np.ndarray | list | tuple):
         for index, element in enumerate(value):
             yield from flatten(element, f'{path}[{index}]')

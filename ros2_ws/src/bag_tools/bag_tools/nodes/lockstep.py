@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The player's side of lock-step: one message in flight through the whole graph.
+
+For every topic that lock-step nodes subscribe to, the player counts what is published, be it by itself or
+by another lock-step node, and goes on when each subscriber has acknowledged as many. A chain of nodes and
+a recorder are thereby waited for as well as the first estimator. Topics between nodes are counted by a
+subscription of the player's own: a node acknowledges after it has published, on one participant whose
+packets arrive in order, so with one message in flight the outputs are here before the acknowledgement.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+
+from bag_tools.bag import BagError
+from node_core import lockstep
+from node_core.message_types import message_class
+
+_DEPTH = 1000
+
+
+def _full_name(info: Any) -> str:
+    return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+
+
+class LockStep:
+    """Counts messages and acknowledgements by (node, topic)."""
+
+    def __init__(self, node: Node, timeout: float) -> None:
+        self._node = node
+        self._timeout = timeout
+        self._name = node.get_fully_qualified_name()
+        self._own: set[str] = set()
+        self._followers: dict[str, tuple[str, ...]] = {}
+        self._expected: dict[tuple[str, str], int] = {}
+        self._acknowledged: dict[tuple[str, str], int] = {}
+        self._between: dict[str, Any] = {}
+        self._members: frozenset[str] = frozenset()
+        node.create_subscription(String, lockstep.TOPIC, self._on_progress, lockstep.QOS)
+
+    def members(self) -> frozenset[str]:
+        """Return the full names of the nodes that take part."""
+        infos = self._node.get_publishers_info_by_topic(lockstep.TOPIC)
+        return frozenset(_full_name(i) for i in infos) - {self._name}
+
+    def begin(self, own_topics: set[str]) -> None:
+        """Find who follows what: call after the graph is matched; `own_topics` are the player's."""
+        self._own = own_topics
+        self._members = self.members()
+        for topic in sorted(own_topics):
+            self._follow(topic)
+        for topic, types in self._node.get_topic_names_and_types():
+            writers = {_full_name(i) for i in self._node.get_publishers_info_by_topic(topic)}
+            if topic not in own_topics and topic != lockstep.TOPIC and writers & self._members:
+                self._follow(topic)
+                if self._followers[topic]:
+                    self._count_between(topic, types[0])
+
+    def _follow(self, topic: str) -> None:
+        readers = {_full_name(i) for i in self._node.get_subscriptions_info_by_topic(topic)}
+        self._followers[topic] = tuple(sorted(readers & self._members))
+
+    def _count_between(self, topic: str, type_name: str) -> None:
+        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+
+        def count(_data: bytes) -> None:
+            self.published(topic)
+
+        self._between[topic] = self._node.create_subscription(
+            message_class(type_name), topic, count, qos, raw=True
+        )
+
+    def matched(self) -> bool:
+        """Whether the subscriptions between nodes have their publishers."""
+        return all(s.get_publisher_count() for s in self._between.values())
+
+    def published(self, topic: str) -> None:
+        """Expect one more acknowledgement from every node that follows `topic`."""
+        for name in self._followers.get(topic, ()):
+            key = (name, topic)
+            self._expected[key] = self._expected.get(key, 0) + 1
+
+    def _on_progress(self, line: String) -> None:
+        name, topic, _ = lockstep.parse(line.data)
+        key = (name, topic)
+        self._acknowledged[key] = self._acknowledged.get(key, 0) + 1
+
+    def _take_between(self) -> None:
+        for topic, subscription in self._between.items():
+            with subscription.handle:
+                while subscription.handle.take_message(subscription.msg_type, True) is not None:
+                    self.published(topic)
+
+    def _behind(self) -> tuple[str, str] | None:
+        for key, expected in self._expected.items():
+            if self._acknowledged.get(key, 0) < expected:
+                return key
+        return None
+
+    def wait(self, executor: Executor) -> None:
+        """Return when everything published is processed; raise BagError naming who is behind."""
+        deadline = time.monotonic() + self._timeout
+        while True:
+            behind = self._behind()
+            if behind is None:
+                self._take_between()
+                if self._behind() is None:
+                    return
+                continue
+            if time.monotonic() > deadline:
+                name, topic = behind
+                gone = '' if name in self.members() else ' (the node is gone)'
+                raise BagError(
+                    f"lock-step: node '{name}' has not processed a message of '{topic}' within "
+                    f'{self._timeout:g} s{gone}'
+                )
+            executor.spin_once(timeout_sec=0.1)

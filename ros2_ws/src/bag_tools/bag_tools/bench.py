@@ -110,7 +110,8 @@ def _loaded(path: Path) -> Iterator[Callable[[Options], Iterable[Row]]]:
     sys.path.insert(0, str(path.parent))
     try:
         spec = importlib.util.spec_from_file_location(f'{path.parent.parent.name}_bench', path)
-        assert spec is not None and spec.loader is not None
+        assert spec is not None
+        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[spec.name] = module
         spec.loader.exec_module(module)
@@ -158,7 +159,7 @@ def record(row: Row, seconds: float, date: str, where: str) -> dict[str, Any]:
 
 
 def load_records(path: Path) -> list[dict[str, Any]]:
-    """Return the records of a results file, none if it is not there; raise BenchError if it is no such file."""
+    """Return the records of a results file, none if it is missing; raise BenchError if it holds others."""
     if not path.exists():
         return []
     try:
@@ -214,6 +215,7 @@ def measure_package(root: Path, package: str, options: Options) -> Iterator[tupl
 def _run(root: Path, packages: list[str], options: Options, prune: bool) -> tuple[list[Row], bool]:
     """Measure, print and store; return the rows and whether every package ran to its end."""
     path = root / (QUICK_RESULTS if options.quick else RESULTS)
+    load_records(path)  # a file that cannot be merged into is found before, not after, an hour of work
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     where = machine()
     rows: list[Row] = []

@@ -20,7 +20,7 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="The launch-free harness: starts node processes, replays bags through the graph, compares.",
+    description='The launch-free harness: starts node processes, replays bags through the graph, compares.',
     license='Apache-2.0',
     entry_points={'console_scripts': []},
 )

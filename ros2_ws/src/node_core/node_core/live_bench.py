@@ -50,7 +50,9 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
-def measure(process: Process, feeds: list[Feed], output: tuple[str, str], rate: float, count: int) -> LiveFigures:
+def measure(
+    process: Process, feeds: list[Feed], output: tuple[str, str], rate: float, count: int
+) -> LiveFigures:
     """Feed a running node at `rate` (Hz) with `count` ticks; its outputs are matched by header stamp."""
     with probe('live_bench') as p:
         arrivals: dict[int, int] = {}
@@ -119,7 +121,8 @@ node = Node('bare_relay')
 inputs = [pair.split('=') for pair in sys.argv[2:]]
 publish = node.create_publisher(message_class(inputs[0][1]), sys.argv[1], reliable(200)).publish
 for i, (topic, name) in enumerate(inputs):
-    node.create_subscription(message_class(name), topic, publish if i == 0 else (lambda _: None), reliable(200))
+    callback = publish if i == 0 else (lambda _: None)
+    node.create_subscription(message_class(name), topic, callback, reliable(200))
 try:
     rclpy.spin(node)
 except (KeyboardInterrupt, ExternalShutdownException):

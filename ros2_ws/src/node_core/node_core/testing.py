@@ -64,14 +64,17 @@ def ros_arguments(
 class Process:
     """A child process with its output in a file; `stop` asks politely, leaving the block does not."""
 
-    def __init__(self, argv: Sequence[str], env: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, argv: Sequence[str], env: dict[str, str] | None = None, *, inherit_stderr: bool = False
+    ) -> None:
         self.argv = list(argv)
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._process = subprocess.Popen(
             self.argv,
             stdin=subprocess.DEVNULL,
             stdout=self._output,
-            stderr=subprocess.STDOUT,
+            # A progress bar goes to the terminal, not into the file.
+            stderr=None if inherit_stderr else subprocess.STDOUT,
             env={**os.environ, **(env or {})},
             preexec_fn=_die_with_parent,
         )
@@ -79,10 +82,17 @@ class Process:
 
     @classmethod
     def node(
-        cls, package: str, name: str, *args: str, env: dict[str, str] | None = None, **ros: Any
+        cls,
+        package: str,
+        executable_name: str,
+        *args: str,
+        env: dict[str, str] | None = None,
+        inherit_stderr: bool = False,
+        **ros: Any,
     ) -> Process:
         """Start an executable of a package; `ros` are the arguments of `ros_arguments`."""
-        return cls([executable(package, name), *args, *ros_arguments(**ros)], env)
+        argv = [executable(package, executable_name), *args, *ros_arguments(**ros)]
+        return cls(argv, env, inherit_stderr=inherit_stderr)
 
     @classmethod
     def script(cls, path: Path | str, *args: str, **ros: Any) -> Process:

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Replays a bag through live node processes and records what they say; the same offline, and the comparison.
+
+Every process is its own: player, recorder and one per estimator. Lock-step makes the outputs those of the
+offline runner to the last bit.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bag_tools.offline import OfflineResult, offline
+from bag_tools.registry import find_ports
+from node_core.testing import Process
+
+
+class ReplayError(RuntimeError):
+    """A process of the graph failed; the message holds what it printed."""
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """One estimator node in the graph; its outputs are published below `space` to keep several apart."""
+
+    package: str
+    name: str
+    space: str
+    params: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def node(self) -> str:
+        """The node's name in the graph."""
+        return f'{self.space}_node'
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """Output topics as declared → as published."""
+        ports = find_ports(self.package, self.name)
+        return {o.topic: f'{self.space}/{o.topic}' for o in ports.outputs.values()}
+
+
+def live(
+    bag: Path,
+    estimators: list[Estimator],
+    out: Path,
+    *,
+    rate: float | None = None,
+    lockstep: bool = True,
+    progress: bool = False,
+    timeout: float = 1800.0,
+) -> None:
+    """Play `bag` through `estimators` as processes and record all their outputs into `out`.
+
+    `rate` None is as fast as possible. Raises ReplayError when a process ends with another code than 0; all
+    processes are gone afterwards in any case.
+    """
+    topics = [f'/{topic}' for e in estimators for topic in e.outputs.values()]
+    pace = ['--fast'] if rate is None else ['--rate', str(rate)]
+    step = ['--lockstep'] if lockstep else []
+    with ExitStack() as stack:
+        nodes = [
+            stack.enter_context(
+                Process.node(
+                    e.package,
+                    e.name,
+                    params={**e.params, 'lockstep': lockstep},
+                    remaps=e.outputs,
+                    name=e.node,
+                )
+            )
+            for e in estimators
+        ]
+        recorder = stack.enter_context(
+            Process.node('bag_tools', 'record', str(out), *topics, *step, '--overwrite')
+        )
+        waited = ['/recorder', *(f'/{e.node}' for e in estimators)]
+        player = stack.enter_context(
+            Process.node(
+                'bag_tools',
+                'play',
+                str(bag),
+                *pace,
+                *step,
+                '--wait-for',
+                *waited,
+                *([] if progress else ['--quiet']),
+                inherit_stderr=progress,
+            )
+        )
+        code = player.wait(timeout)
+        if code != 0:
+            said = '\n'.join(p.output for p in (player, recorder, *nodes))
+            raise ReplayError(f'{bag.name}: the player ended with {code}:\n{said}')
+        # The recorder first: it drains what is in flight while the estimators are still there.
+        for process in (recorder, *nodes):
+            if process.stop() != 0:
+                raise ReplayError(f'{bag.name}: {process.argv[0]} failed:\n{process.output}')
+
+
+def offline_all(bag: Path, estimators: list[Estimator], folder: Path) -> dict[str, OfflineResult]:
+    """Run the same estimators without DDS, one bag each in `folder`; results by space."""
+    return {
+        e.space: offline(
+            find_ports(e.package, e.name),
+            e.params,
+            bag,
+            folder / f'{e.space}.mcap',
+            remaps=e.outputs,
+            overwrite=True,
+        )
+        for e in estimators
+    }

@@ -114,3 +114,5 @@ ATTITUDE_PORTS = Ports(
         SettledAttitude: Output('imu/data_settled', _IMU, encode_attitude),
     },
 )
+
+ESTIMATORS = {ports.name: ports for ports in (ANGLE_PORTS, ATTITUDE_PORTS)}

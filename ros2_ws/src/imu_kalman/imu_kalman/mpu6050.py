@@ -37,6 +37,7 @@ _IDENTITY_READS = 3
 _LOOK_ALIKES = {0x70: 'MPU6500', 0x71: 'MPU9250', 0x73: 'MPU9255'}
 # What a bus reads as while nobody drives it, or while a line is held low.
 _NO_ANSWER = (0x00, 0xFF)
+_ONES = b'\xff'
 
 
 class WrongChipError(Exception):
@@ -294,7 +295,7 @@ class Mpu6050Driver:
             return [], []
 
     def _read_fifo(self, device: I2cDevice) -> tuple[list[bytes], list[int]]:
-        status = device.read_once(reg.INT_STATUS)[0]
+        status = _driven(device.read_once(reg.INT_STATUS))[0]
         before = self._clock()
         high, low = device.read(reg.FIFO_COUNT_H, 2)
         after = self._clock()
@@ -308,7 +309,7 @@ class Mpu6050Driver:
         frames: list[bytes] = []
         while len(frames) < total:
             burst = min(_BURST_FRAMES, total - len(frames))
-            data = device.read_once(reg.FIFO_R_W, burst * reg.FRAME_SIZE)
+            data = _driven(device.read_once(reg.FIFO_R_W, burst * reg.FRAME_SIZE))
             frames += [data[i : i + reg.FRAME_SIZE] for i in range(0, len(data), reg.FRAME_SIZE)]
         if not frames:
             return [], []
@@ -318,7 +319,7 @@ class Mpu6050Driver:
 
     def _read_sample(self, device: I2cDevice) -> tuple[list[bytes], list[int]]:
         before = self._clock()
-        data = device.read_once(reg.INT_STATUS, 1 + reg.FRAME_SIZE)
+        data = _driven(device.read_once(reg.INT_STATUS, 1 + reg.FRAME_SIZE))
         after = self._clock()
         looked, self._looked = self._looked, before
         if not data[0] & reg.INT_DATA_READY:
@@ -360,3 +361,10 @@ class Mpu6050Driver:
             ImuReading(stamp - self._delay, gyro[i], accel[i], float(temperature[i]))
             for i, stamp in enumerate(stamps)
         ]
+
+
+def _driven(data: bytes) -> bytes:
+    """Return `data` unless all of it reads 0xff, which is what a bus reads that nothing drives."""
+    if data == _ONES * len(data):
+        raise OSError('reads only ones: nothing drives the bus')
+    return data

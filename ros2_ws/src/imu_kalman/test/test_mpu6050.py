@@ -268,7 +268,7 @@ def test_mounting_turns_chip_axes_into_body_axes():
 def test_stamps_are_when_the_sample_was_taken(clock_error, pacing):
     jitter = 0.3 if pacing == 'fifo' else 0.0
     rig = Rig(chip={'clock_error': clock_error}, pacing=pacing, calibrate_at_start=False)
-    readings = rig.run(30.0, jitter=jitter)
+    readings = rig.run(20.0, jitter=jitter)
     stamps = stamps_of(readings)
     assert (np.diff(stamps) > 0).all()
     truth = np.array(rig.chip.sample_times[-400:]) - round(reg.GYRO_DELAYS[2] * SECOND)
@@ -419,8 +419,8 @@ def test_a_frozen_chip_is_reset():
 def test_short_reads_are_not_taken_for_samples():
     rig = Rig(calibrate_at_start=False)
     rig.run(1.0)
-    rig.bus.shorten_next(30)
-    readings = rig.run(8.0)
+    rig.bus.shorten_next(6)
+    readings = rig.run(2.0)
     assert np.abs(np.array([r.accel for r in readings]) - FORCE).max() < 0.5
     assert len(readings) > 200
 
@@ -499,8 +499,8 @@ def rolling(amplitude, frequency):
     ids=['slow ship', 'ship', 'boat', 'turntable'],
 )
 def test_motion_is_never_taken_for_a_rest(motion):
-    rig = Rig(motion)
-    rig.run(30.0)
+    rig = Rig(motion, rate=100.0)
+    rig.run(20.0)
     np.testing.assert_array_equal(rig.driver.bias, 0.0)
     assert rig.driver.diagnostics()['level'] == 1
     result = rig.driver.calibrate()

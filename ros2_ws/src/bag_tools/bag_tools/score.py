@@ -1,0 +1,342 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ros2 run bag_tools score``: any estimate topic against any truth topic."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bag_tools.bag import BagError
+from bag_tools.cli import guarded
+from bag_tools.errors import (
+    at,
+    attitude_errors,
+    delay,
+    euler_angles,
+    nees,
+    quat_conjugate,
+    quat_multiply,
+    quaternions,
+    rotation_vectors,
+)
+from bag_tools.series import Array, Series, read_series
+
+PERCENTILES = (50.0, 95.0, 99.0)
+# The delay is searched on at most so many samples: the correlation costs samples times shifts.
+_DELAY_SAMPLES = 20_000
+_DEGREES = 180.0 / math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Errors of one component: `mean` is signed where the error is; the rest are of |error|."""
+
+    name: str
+    unit: str
+    rmse: float
+    mean: float
+    max: float
+    percentiles: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One quantity of an estimate against truth. `nees` is the mean over time, `dof` what it should be."""
+
+    role: str
+    samples: int
+    seconds: float
+    components: list[Statistics]
+    nees: float | None = None
+    dof: int | None = None
+    delay: float | None = None
+
+    def component(self, name: str) -> Statistics:
+        """Return the statistics of component `name`; raise KeyError."""
+        return next(c for c in self.components if c.name == name)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A score with what it was made from, for plots: `errors` (n, k) and `sigmas` (n, k) or None.
+
+    `times` (n,) s since the first truth; `estimate` and `truth` (n, k) hold what the plots show, in the
+    unit of the statistics; `sigmas` (n, k) are the filter's own standard deviations.
+    """
+
+    score: Score
+    times: Array
+    estimate: Array
+    truth: Array
+    errors: Array
+    labels: tuple[str, ...]
+    unit: str
+    sigmas: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """What counts: from `after` to `before` (s since the first truth), `where` true (stamps ns, values)."""
+
+    after: float = 0.0
+    before: float = math.inf
+    where: tuple[NDArray[np.int64], NDArray[np.bool_]] | None = field(default=None)
+
+    def mask(self, stamps: NDArray[np.int64], origin: int) -> NDArray[np.bool_]:
+        """Return which stamps count; a `where` topic holds its value until its next message."""
+        seconds = (stamps - origin) * 1e-9
+        mask = (seconds >= self.after) & (seconds <= self.before)
+        if self.where is not None:
+            times, values = self.where
+            index = np.searchsorted(times, stamps, side='right') - 1
+            mask &= np.where(index >= 0, values[np.maximum(index, 0)], False)
+        return mask
+
+
+def _statistics(name: str, unit: str, errors: Array) -> Statistics:
+    size = np.abs(errors)
+    return Statistics(
+        name,
+        unit,
+        rmse=float(np.sqrt(np.mean(errors * errors))),
+        mean=float(np.mean(errors)),
+        max=float(np.max(size)),
+        percentiles={f'{p:g}': float(np.percentile(size, p)) for p in PERCENTILES},
+    )
+
+
+def _delay(estimate: Series, truth: Series) -> float | None:
+    """Estimate the lag on an even grid over the longest stretch that both cover."""
+    start = max(estimate.stamps[0], truth.stamps[0])
+    stop = min(estimate.stamps[-1], truth.stamps[-1])
+    if len(estimate.stamps) < 8 or len(truth.stamps) < 8 or stop <= start:
+        return None
+    step = float(max(np.median(np.diff(estimate.stamps)), np.median(np.diff(truth.stamps)), 1.0))
+    step = max(step, (stop - start) / _DELAY_SAMPLES)
+    grid = np.arange(start, stop, step).astype(np.int64)
+    a, known_a = at(estimate, grid)
+    b, known_b = at(truth, grid)
+    known = known_a & known_b
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
+    if not len(edges):
+        return None
+    runs = edges.reshape(-1, 2)
+    begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return delay(a[begin:end], b[begin:end], step * 1e-9, estimate.kind)
+
+
+def _orientation(estimate: Series, truth: Array, keep: NDArray[np.bool_], frame: str) -> tuple:
+    q, reference = estimate.values[keep], truth[keep]
+    sizes = attitude_errors(q, reference)
+    components = [_statistics(n, '°', e * _DEGREES) for n, e in sizes.items()]
+    # q_truth = exp(error_n) q_estimate (world) or q_estimate exp(error_b) (body).
+    inverse = quat_conjugate(q)
+    turn = quat_multiply(reference, inverse) if frame == 'world' else quat_multiply(inverse, reference)
+    errors = -rotation_vectors(turn)
+    shown = (
+        np.unwrap(euler_angles(q), axis=0) * _DEGREES,
+        np.unwrap(euler_angles(reference), axis=0) * _DEGREES,
+    )
+    shown = (shown[0] - 360.0 * np.round((shown[0] - shown[1]) / 360.0), shown[1])
+    return components, errors, shown, errors * _DEGREES, ('roll', 'pitch', 'yaw'), '°', _DEGREES
+
+
+def _plain(estimate: Series, truth: Array, keep: NDArray[np.bool_]) -> tuple:
+    values, reference = estimate.values[keep], truth[keep]
+    errors = values - reference
+    components = [_statistics(n, estimate.unit, errors[:, i]) for i, n in enumerate(estimate.labels)]
+    if errors.shape[1] > 1:
+        components.append(_statistics('norm', estimate.unit, np.linalg.norm(errors, axis=1)))
+    return components, errors, (values, reference), errors, estimate.labels, estimate.unit, 1.0
+
+
+def evaluate(
+    estimate: Series, truth: Series, window: Window | None = None, frame: str = 'world'
+) -> Comparison:
+    """Score one quantity. Orientations give total, heading and inclination errors in degrees.
+
+    `frame` is that of the orientation covariance and error vector: 'world' (the workspace's convention) or
+    'body'. Raises BagError when no sample of the estimate lies where truth is known and the window open.
+    """
+    if estimate.kind != truth.kind or estimate.values.shape[1] != truth.values.shape[1]:
+        raise BagError(f'{estimate.role} is a {estimate.kind}, the truth {truth.role} a {truth.kind}')
+    reference, known = at(truth, estimate.stamps)
+    origin = int(truth.stamps[0])
+    keep = known & (window or Window()).mask(estimate.stamps, origin)
+    if not keep.any():
+        raise BagError(f'{estimate.role}: no sample of the estimate lies where truth is known')
+    parts = (
+        _orientation(estimate, reference, keep, frame)
+        if estimate.kind == 'orientation'
+        else _plain(estimate, reference, keep)
+    )
+    components, errors, shown, shown_errors, labels, unit, factor = parts
+    stamps = estimate.stamps[keep]
+    mean_nees = dof = sigmas = None
+    if estimate.covariance is not None:
+        covariance = estimate.covariance[keep]
+        mean_nees, dof = float(np.nanmean(nees(errors, covariance))), errors.shape[1]
+        sigmas = np.sqrt(np.einsum('nii->ni', covariance)) * factor
+    score = Score(
+        estimate.role,
+        samples=int(keep.sum()),
+        seconds=float(stamps[-1] - stamps[0]) * 1e-9,
+        components=components,
+        nees=mean_nees,
+        dof=dof,
+        delay=_delay(estimate, truth),
+    )
+    times = (stamps - origin).astype(np.float64) * 1e-9
+    return Comparison(score, times, shown[0], shown[1], shown_errors, labels, unit, sigmas)
+
+
+def _as_orientation(series: Series) -> Series:
+    """Take a vector for roll, pitch, yaw in rad."""
+    return replace(
+        series,
+        role='orientation',
+        kind='orientation',
+        values=quaternions(series.values),
+        labels=('w', 'x', 'y', 'z'),
+        unit='rad',
+        covariance=None,
+    )
+
+
+def pair(estimates: Sequence[Series], truths: Sequence[Series]) -> list[tuple[Series, Series]]:
+    """Return the quantities that can be compared: equal roles first, else the only ones of equal shape.
+
+    A three-vector against an orientation is taken for roll, pitch, yaw (rad).
+    """
+    by_role = {t.role: t for t in truths}
+    pairs = [(e, by_role[e.role]) for e in estimates if e.role in by_role]
+    if pairs:
+        return [(e, t) for e, t in pairs if e.kind == t.kind and e.values.shape[1] == t.values.shape[1]]
+    for e in estimates:
+        for t in truths:
+            if e.kind == 'vector' and t.kind == 'orientation' and e.values.shape[1] == 3:
+                return [(_as_orientation(e), t)]
+            if e.kind == 'orientation' and t.kind == 'vector' and t.values.shape[1] == 3:
+                return [(e, _as_orientation(t))]
+            if e.kind == t.kind and e.values.shape[1] == t.values.shape[1]:
+                return [(e, t)]
+    return []
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What to score: a topic of a bag, or one field of it."""
+
+    bag: str | Path
+    topic: str
+    field: str | None = None
+
+
+def read_window(after: float, before: float, where: Subject | None) -> Window:
+    """Return the window; `where` names a Bool topic (or numeric field, true where not zero)."""
+    if where is None:
+        return Window(after, before)
+    series = read_series(where.bag, where.topic, where.field)[0]
+    return Window(after, before, (series.stamps, series.values[:, 0] != 0.0))
+
+
+def score(
+    estimate: Subject, truth: Subject, window: Window | None = None, frame: str = 'world'
+) -> list[Comparison]:
+    """Score every quantity that the two topics share; raise BagError when there is none."""
+    pairs = pair(
+        read_series(estimate.bag, estimate.topic, estimate.field),
+        read_series(truth.bag, truth.topic, truth.field),
+    )
+    if not pairs:
+        raise BagError(f"'{estimate.topic}' and '{truth.topic}' have no quantity in common; give field paths")
+    return [evaluate(e, t, window, frame) for e, t in pairs]
+
+
+def to_text(comparisons: Sequence[Comparison]) -> str:
+    """Return an aligned table, one line per component."""
+    head = ('quantity', 'component', 'RMSE', 'mean', 'max', *(f'{p:g} %' for p in PERCENTILES), 'unit')
+    rows = [head]
+    notes = []
+    for c in comparisons:
+        for s in c.score.components:
+            numbers = (s.rmse, s.mean, s.max, *s.percentiles.values())
+            rows.append((c.score.role, s.name, *(f'{n:.4g}' for n in numbers), s.unit))
+        note = f'{c.score.role}: {c.score.samples} samples over {c.score.seconds:.1f} s'
+        if c.score.nees is not None:
+            note += f', mean NEES {c.score.nees:.3g} ({c.score.dof} expected)'
+        if c.score.delay is not None:
+            note += f', delay {c.score.delay * 1e3:.1f} ms'
+        notes.append(note)
+    widths = [max(len(r[i]) for r in rows) for i in range(len(head))]
+    lines = []
+    for row in rows:
+        cells = (
+            v.ljust(w) if i in (0, 1, len(head) - 1) else v.rjust(w)
+            for i, (v, w) in enumerate(zip(row, widths))
+        )
+        lines.append('  '.join(cells).rstrip())
+    return '\n'.join([*lines, '', *notes])
+
+
+def to_json(comparisons: Sequence[Comparison]) -> str:
+    """Return the scores as a JSON list; numbers that are not finite become null."""
+
+    def clean(value: object) -> object:
+        if isinstance(value, dict):
+            return {k: clean(v) for k, v in value.items()}
+        if isinstance(value, list):
+            return [clean(v) for v in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return json.dumps([clean(asdict(c.score)) for c in comparisons], indent=1)
+
+
+def _parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(prog='score', description='Score an estimate topic against a truth topic.')
+    p.add_argument('bag', help='bag with the estimate')
+    p.add_argument('estimate', help='estimate topic')
+    p.add_argument('truth', help='truth topic')
+    p.add_argument('--truth-bag', help='bag with the truth, when it is another one')
+    p.add_argument('--field', help='field path in the estimate, for example twist.twist.linear.x')
+    p.add_argument('--truth-field', help='field path in the truth')
+    p.add_argument('--after', type=float, default=0.0, help='s after the first truth from which to score')
+    p.add_argument(
+        '--before', type=float, default=math.inf, help='s after the first truth up to which to score'
+    )
+    p.add_argument('--where', help='Bool topic of the truth bag: score only while it is true')
+    p.add_argument('--covariance-frame', choices=('world', 'body'), default='world')
+    p.add_argument('--json', action='store_true', help='JSON instead of a table')
+    return p
+
+
+def run(argv: list[str]) -> int:
+    """Score as the command line says."""
+    o = _parser().parse_args(argv)
+    truth_bag = o.truth_bag or o.bag
+    window = read_window(o.after, o.before, Subject(truth_bag, o.where) if o.where else None)
+    results = score(
+        Subject(o.bag, o.estimate, o.field),
+        Subject(truth_bag, o.truth, o.truth_field),
+        window,
+        o.covariance_frame,
+    )
+    print(to_json(results) if o.json else to_text(results))
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point."""
+    return guarded('score', run, argv)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

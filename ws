@@ -15,7 +15,7 @@ usage() {
 usage: ./ws COMMAND [arguments]
 
   run [SYSTEM …]      replay the bags through live ROS 2 graphs; table and HTML report in out/
-  test [pytest args]  install what is missing, build with colcon, run all tests
+  test [PACKAGE …]    install what is missing, build with colcon, run the tests (pytest arguments may follow)
   bench [PACKAGE …]   measure every figure against its bar and its peers (docs/results/bench.json)
   bags [--check]      make the fixtures in bags/ from their seeds, or check them against the manifest
   docs [--check]      fill the generated tables of the READMEs and the default YAML files
@@ -167,19 +167,23 @@ prepare() {
 
 # --- commands ---------------------------------------------------------------------------------------
 
-run_tests() {
+run_tests() { # [PACKAGE …] [pytest arguments]
   export ROS_PYTHON_CHECK_FIELDS=1
-  local log="$WS_ROOT/ros2_ws/log" results="$WS_ROOT/ros2_ws/build" status=0
+  local log="$WS_ROOT/ros2_ws/log" results="$WS_ROOT/ros2_ws/build" status=0 selected=()
+  while [ $# -gt 0 ] && [ -d "$results/$1" ]; do
+    selected+=("$1")
+    shift
+  done
   find "$results" -name pytest.xml -delete
+  # One domain per package, so that two may run at a time.
   colcon --log-base "$log" test --base-paths "$SRC" "$WS_ROOT/test" --build-base "$results" \
-    --install-base "$INSTALL" --executor sequential --return-code-on-test-failure \
-    --event-handlers console_direct+ desktop_notification- --pytest-args "$@" || status=$?
+    --install-base "$INSTALL" --executor parallel --parallel-workers 2 --return-code-on-test-failure \
+    --event-handlers console_cohesion+ desktop_notification- \
+    ${selected[@]:+--packages-select "${selected[@]}"} --pytest-args -q "$@" || status=$?
   # colcon calls a package without tests green; the count says what really ran.
-  python "$WS_ROOT/tools/test_summary.py" "$results" "$SRC" "$WS_ROOT/test" || status=1
+  python "$WS_ROOT/tools/test_summary.py" "$results" "$SRC" "$WS_ROOT/test" "${selected[@]}" || status=1
   return "$status"
 }
-
-packages() { (cd "$SRC" && for p in */package.xml; do dirname "$p"; done); }
 
 lint() {
   cd "$WS_ROOT"

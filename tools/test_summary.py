@@ -27,12 +27,12 @@ def counts(result: Path) -> dict[str, int]:
 
 def main() -> int:
     """Print the table; return 1 when a test failed or a package ran none."""
-    build = Path(sys.argv[1])
+    build, source, harness, *selected = sys.argv[1:]
     passed = failed = skipped = 0
     empty = []
     print('\npackage              passed  failed  skipped')
-    for name in packages([Path(folder) for folder in sys.argv[2:]]):
-        result = build / name / 'pytest.xml'
+    for name in selected or packages([Path(source), Path(harness)]):
+        result = Path(build) / name / 'pytest.xml'
         total = (
             counts(result)
             if result.exists()

@@ -15,6 +15,7 @@ import numpy as np
 from bag_tools.bag import BagReader
 from bag_tools.cli import Progress, guarded
 from bag_tools.content import combined, topic_hashes
+from bag_tools.series import NANOSECONDS
 
 # A step this many times the median one is called a gap.
 GAP_FACTOR = 3.0
@@ -95,7 +96,7 @@ def to_text(info: BagInfo) -> str:
     head = [
         f'Bag:       {info.path}',
         f'Size:      {info.size / 1024:.1f} KiB',
-        f'Start:     {started} ({info.start * 1e-9:.9f})',
+        f'Start:     {started} ({info.start // NANOSECONDS}.{info.start % NANOSECONDS:09d})',
         f'Duration:  {info.duration:.3f} s',
         f'Messages:  {info.count}',
     ]

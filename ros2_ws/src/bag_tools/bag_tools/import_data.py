@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ros2 run bag_tools import MAPPING SOURCE BAG``: CSV and npz files to bags by a mapping file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bag_tools.bag import BagError, BagWriter, zeroed
+from bag_tools.cli import Progress, guarded
+from bag_tools.mapping import FieldRule, Mapping, TopicRule, field_values, leaves, read_mapping, stamps_of
+from bag_tools.registry import find_importer
+from bag_tools.series import NANOSECONDS, Array, walk
+from bag_tools.tables import Table, read_csv, read_npz
+
+FOLDER = Path(__file__).parent / 'mappings'
+_PROGRESS_STRIDE = 1024
+
+
+@dataclass(slots=True)
+class _Column:
+    """The numbers of one topic and how to put a row of them into its message."""
+
+    rule: TopicRule
+    stamps: NDArray[np.int64]
+    values: Array
+    message: Any
+    setters: list[Callable[[float], None]]
+
+    def fill(self, row: int) -> Any:
+        header = getattr(self.message, 'header', None)
+        if header is not None:
+            header.stamp.sec, header.stamp.nanosec = divmod(int(self.stamps[row]), NANOSECONDS)
+        for setter, value in zip(self.setters, self.values[row].tolist()):
+            setter(value)
+        return self.message
+
+
+def _setter(message: Any, parent: str, leaf: str | int) -> Callable[[float], None]:
+    holder = walk(message, parent) if parent else message
+    if isinstance(leaf, int):
+        return lambda value: holder.__setitem__(leaf, value)
+    kind = type(getattr(holder, leaf))
+    if kind in (int, bool):
+        return lambda value: setattr(holder, leaf, kind(value))
+    return lambda value: setattr(holder, leaf, value)
+
+
+def _grow(message: Any, rule: FieldRule, count: int) -> None:
+    """Give a sequence field the length that the mapping fills."""
+    target = walk(message, rule.path)
+    if isinstance(target, np.ndarray) and not len(target):
+        parent, _, name = rule.path.rpartition('.')
+        setattr(walk(message, parent) if parent else message, name, np.zeros(count, dtype=target.dtype))
+
+
+def _set_constant(message: Any, path: str, value: Any) -> None:
+    if isinstance(value, list) and not path.endswith(']'):
+        current = walk(message, path)
+        value = np.array(value, dtype=current.dtype) if isinstance(current, np.ndarray) else value
+    parent, _, name = path.rpartition('.')
+    holder = walk(message, parent) if parent else message
+    if name.endswith(']'):
+        name, _, index = name[:-1].partition('[')
+        getattr(holder, name)[int(index)] = value
+        return
+    if isinstance(getattr(holder, name), float):
+        value = float(value)
+    setattr(holder, name, value)
+
+
+def _rows(rule: TopicRule, values: Array, table: Table) -> NDArray[np.int64]:
+    """Return the rows to write: without gaps in the data, and only changes where asked for."""
+    finite = np.all(np.isfinite(values), axis=1)
+    if rule.nan == 'error' and not finite.all():
+        raise BagError(f"{table.path}: row {int(np.argmin(finite))}: a value of '{rule.topic}' is not finite")
+    rows = np.flatnonzero(finite) if rule.nan == 'skip' else np.arange(len(values))
+    if rule.changes and len(rows):
+        changed = np.append(True, np.any(np.diff(values[rows], axis=0) != 0.0, axis=1))
+        rows = rows[changed]
+    return rows
+
+
+def _column(rule: TopicRule, table: Table) -> _Column:
+    message = zeroed(rule.type)
+    if rule.frame_id:
+        message.header.frame_id = rule.frame_id
+    for path, value in rule.constants.items():
+        _set_constant(message, path, value)
+    blocks, setters = [], []
+    for field in rule.fields:
+        block = field_values(field, table)
+        _grow(message, field, block.shape[1])
+        setters += [_setter(message, p, leaf) for p, leaf in leaves(field, message, block.shape[1])]
+        blocks.append(block)
+    lengths = {len(b) for b in blocks}
+    if len(lengths) != 1:
+        raise BagError(f"{table.path}: the columns of '{rule.topic}' differ in length: {sorted(lengths)}")
+    values = np.hstack(blocks)
+    stamps = stamps_of(rule, table)
+    if len(stamps) != len(values):
+        raise BagError(f"{table.path}: {len(stamps)} stamps for {len(values)} rows of '{rule.topic}'")
+    rows = _rows(rule, values, table)
+    return _Column(rule, stamps[rows], values[rows], message, setters)
+
+
+def _tables(mapping: Mapping, source: Path) -> dict[str | None, Table]:
+    names: dict[str | None, Path] = {None: source}
+    if mapping.files:
+        if not source.is_dir() and not any('*' in f or '{' in f for f in mapping.files.values()):
+            raise BagError(
+                f'{source}: is not a folder; expected one with {", ".join(mapping.files.values())}'
+            )
+        names = {key: _find(source, pattern) for key, pattern in mapping.files.items()}
+    tables = {}
+    for key, path in names.items():
+        wanted = [c for t in mapping.topics if t.file == key for c in t.columns()]
+        if not path.is_file():
+            expected = 'an npz or CSV file' if key is None else f'the {key} table'
+            raise BagError(f'{path}: no such file; expected {expected}')
+        tables[key] = read_npz(path) if path.suffix == '.npz' else read_csv(path, mapping.csv, wanted)
+    return tables
+
+
+def _find(source: Path, pattern: str) -> Path:
+    """Return ``source/pattern``; ``{stem}`` stands for the name of the source when it is no folder."""
+    folder = source if source.is_dir() else source.parent
+    return folder / pattern.replace('{stem}', source.name)
+
+
+def import_tables(mapping: Mapping, source: Path, writer: BagWriter) -> None:
+    """Write the topics of `mapping` from `source` (a file, or a folder of files) in order of their stamps."""
+    tables = _tables(mapping, source)
+    columns = [_column(rule, tables[rule.file]) for rule in mapping.topics]
+    for column in columns:
+        writer.add(column.rule.topic, column.rule.type)
+    stamps = np.concatenate([c.stamps for c in columns])
+    owners = np.concatenate([np.full(len(c.stamps), i) for i, c in enumerate(columns)])
+    rows = np.concatenate([np.arange(len(c.stamps)) for c in columns])
+    order = np.lexsort((rows, owners, stamps))
+    with Progress('importing', len(order)) as progress:
+        for done, k in enumerate(order):
+            column = columns[owners[k]]
+            topic = column.rule.topic if column.rule.topic.startswith('/') else f'/{column.rule.topic}'
+            writer.write(topic, int(stamps[k]), column.fill(int(rows[k])))
+            if not done % _PROGRESS_STRIDE:
+                progress.update(done)
+
+
+def importer(name: str) -> Callable[[Path, BagWriter], None]:
+    """Return the importer `name`: a mapping file, a mapping of this package, or PACKAGE:NAME of another.
+
+    A package offers importers as ``IMPORTERS = {'name': function(source, writer)}`` in ``PKG.importers``.
+    """
+    package, mark, entry = name.partition(':')
+    if mark:
+        return find_importer(package, entry)
+    path = Path(name)
+    if not path.exists() and path.suffix not in ('.yaml', '.yml'):
+        path = FOLDER / f'{name}.yaml'
+        if not path.exists():
+            known = ', '.join(sorted(p.stem for p in FOLDER.glob('*.yaml')))
+            raise BagError(
+                f"mapping '{name}' is unknown; expected a .yaml file, PACKAGE:NAME or one of: {known}"
+            )
+    mapping = read_mapping(path)
+    return lambda source, writer: import_tables(mapping, source, writer)
+
+
+def import_data(
+    name: str, source: str | Path, bag: str | Path, *, compression: str = 'none', overwrite: bool = False
+) -> dict[str, int]:
+    """Import `source` to `bag` by the importer `name`; return the number of messages by topic."""
+    convert = importer(name)
+    source = Path(source)
+    with BagWriter(bag, compression=compression, overwrite=overwrite) as writer:
+        convert(source, writer)
+        if not sum(writer.counts.values()):
+            raise BagError(f'{source}: nothing could be imported')
+    return writer.counts
+
+
+def run(argv: list[str]) -> int:
+    """Import as the command line says."""
+    known = ', '.join(sorted(p.stem for p in FOLDER.glob('*.yaml')))
+    p = argparse.ArgumentParser(prog='import', description='Import CSV and npz files to a bag.')
+    p.add_argument('mapping', help=f'a mapping file, PACKAGE:NAME, or one of: {known}')
+    p.add_argument('source', type=Path, help='the file, or the folder with the files, to import')
+    p.add_argument('bag', type=Path, help='bag to write: a folder name, or a .mcap or .db3 file')
+    p.add_argument('--compression', choices=('none', 'zstd'), default='none')
+    p.add_argument('--overwrite', action='store_true', help='replace an existing bag')
+    o = p.parse_args(argv)
+    counts = import_data(o.mapping, o.source, o.bag, compression=o.compression, overwrite=o.overwrite)
+    for topic, count in counts.items():
+        print(f'{count:8d}  {topic}')
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point."""
+    return guarded('import', run, argv)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bag_tools.bag import BagReader, BagWriter
+from bag_tools.content import compare
 from bag_tools.offline import OfflineResult, offline
 from bag_tools.registry import find_ports
 from node_core.testing import Process
@@ -113,3 +115,28 @@ def offline_all(bag: Path, estimators: list[Estimator], folder: Path) -> dict[st
         )
         for e in estimators
     }
+
+
+def cut(bag: Path, seconds: float, out: Path) -> Path:
+    """Write the first `seconds` of `bag` to `out` and return it; a bag that is no longer is returned as is."""
+    with BagReader(bag) as reader:
+        if reader.stop - reader.start <= seconds * 1e9:
+            return bag
+        end = reader.start + round(seconds * 1e9)
+        with BagWriter(out, compression='zstd', overwrite=True) as writer:
+            for topic in reader.topics.values():
+                writer.add(topic.name, topic.type, qos=topic.qos[:1], store=reader.store)
+            for name, stamp, data in reader.messages(stop=end):
+                writer.write_raw(name, stamp, data)
+    return out
+
+
+def differences(live_bag: Path, offline_folder: Path, estimators: list[Estimator]) -> list[str]:
+    """Return one line per output topic whose decoded fields differ between the live and the offline bag."""
+    found = []
+    for e in estimators:
+        topics = [f'/{topic}' for topic in e.outputs.values()]
+        for result in compare(live_bag, offline_folder / f'{e.space}.mcap', topics):
+            if not result.equal:
+                found.append(f'{result.topic}: {result.difference}')
+    return found

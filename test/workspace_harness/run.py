@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`./ws run`: every bag through its live graph, one table, one report.
+
+For each bag the estimators run as processes of their own in one graph, in lock-step with player and
+recorder; what they publish is compared bit by bit with the offline runner and scored against truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from bag_tools.bag import BagError
+from bag_tools.catalogue import Entry
+from bag_tools.offline import OfflineResult
+from bag_tools.score import Comparison, Subject, read_window, score
+from workspace_harness.domain import own_domain
+from workspace_harness.make_bags import root
+from workspace_harness.replay import ReplayError, cut, differences, live, offline_all
+from workspace_harness.systems import Job, choose, fixtures, recordings, space
+
+
+@dataclass(frozen=True)
+class Result:
+    """One estimator on one bag: its score, and where it differed between graph and offline runner."""
+
+    job: Job
+    entry: Entry
+    comparison: Comparison
+    offline: OfflineResult
+    differences: list[str]
+    seconds: float
+
+
+def replay(job: Job, folder: Path) -> list[Result]:
+    """Run one job live and offline; return a result per estimator. Raises ReplayError and BagError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    estimators = job.estimators()
+    started = time.monotonic()
+    heard = cut(job.bag, job.live_seconds, folder / 'cut.mcap') if job.live_seconds else job.bag
+    live_bag = folder / 'live.mcap'
+    live(heard, estimators, live_bag, progress=sys.stderr.isatty())
+    seconds = time.monotonic() - started
+    offline = offline_all(heard, estimators, folder)
+    found = {e.space: differences(live_bag, folder, [e]) for e in estimators}
+    if heard is not job.bag:
+        offline = offline_all(job.bag, estimators, folder)
+    results = []
+    for entry in job.replay.entries:
+        name = space(entry)
+        estimate = Subject(folder / f'{name}.mcap', f'/{name}/{entry.output}', entry.field)
+        truth = Subject(job.bag, job.replay.truth, job.replay.truth_field)
+        where = Subject(job.bag, job.replay.where) if job.replay.where else None
+        window = read_window(job.replay.after, float('inf'), where)
+        comparison = score(estimate, truth, window)[0]
+        results.append(Result(job, entry, comparison, offline[name], found[name], seconds))
+    return results
+
+
+def table(results: list[Result]) -> str:
+    """Return the table of errors: one line per bag, estimator and component."""
+    head = ('system', 'bag', 'estimator', 'error', 'RMSE', 'max', 'printed', 'NEES/dof', 'graph = offline')
+    rows = [head]
+    for r in results:
+        nees = (
+            '–'
+            if r.comparison.score.nees is None
+            else f'{r.comparison.score.nees / r.comparison.score.dof:.2f}'
+        )
+        equal = 'to the last bit' if not r.differences else 'NO'
+        for i, name in enumerate(r.job.replay.components):
+            c = r.comparison.score.component(name)
+            printed = r.job.replay.printed.get(name)
+            first = (r.job.system, r.job.bag.stem, r.entry.label) if i == 0 else ('', '', '')
+            last = (nees, equal) if i == 0 else ('', '')
+            unit = c.unit if c.unit == '°' else f' {c.unit}'
+            shown = '–' if printed is None else f'{printed:g}{unit}'
+            rows.append((*first, name, f'{c.rmse:.3g}{unit}', f'{c.max:.3g}{unit}', shown, *last))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+    lines = ['  '.join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip() for row in rows]
+    lines.insert(1, '-' * max(len(line) for line in lines))
+    return '\n'.join(lines)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog='./ws run', description='Replay the bags through live graphs.')
+    parser.add_argument('systems', nargs='*', help='packages to run (default all)')
+    parser.add_argument('--no-recordings', action='store_true', help='fixtures only')
+    parser.add_argument('--out', type=Path, default=root() / 'out', help='folder of bags and report')
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Entry point."""
+    arguments = _arguments()
+    out = arguments.out
+    try:
+        systems = choose(arguments.systems)
+        jobs = fixtures(root() / 'bags', systems)
+        if not arguments.no_recordings:
+            jobs += recordings(systems, out / 'recordings')
+    except (ValueError, BagError) as error:
+        print(f'./ws run: {error}', file=sys.stderr)
+        return 2
+    results: list[Result] = []
+    failed = 0
+    with own_domain():
+        for number, job in enumerate(jobs, 1):
+            print(f'[{number}/{len(jobs)}] {job.system}: {job.replay.title} ({job.bag.stem})', flush=True)
+            try:
+                done = replay(job, out / job.system / job.bag.stem)
+            except (ReplayError, BagError) as error:
+                failed += 1
+                print(f'      failed: {error}', file=sys.stderr)
+                continue
+            results += done
+            lines = [line for r in done for line in r.differences]
+            failed += bool(lines)
+            print(
+                '\n'.join(f'      differs from offline: {line}' for line in lines)
+                or f'      {done[0].seconds:.0f} s'
+            )
+    if not results:
+        print(f'./ws run: nothing to show; {failed} replays failed', file=sys.stderr)
+        return 1
+    print(f'\n{table(results)}\n')
+    from workspace_harness.report import write
+
+    print(f'report: {write(results, out)}')
+    return 1 if failed else 0
+
+
+if __name__ == '__main__':
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(0)

@@ -3,8 +3,8 @@
 
 All kernels work in place on ``x`` (n,) and ``P`` (n, n), symmetric. Zeros in ``F`` and ``H`` are skipped,
 so sparse models cost what their entries cost. The covariance is always formed as a congruence of the old
-one plus a positive semi-definite term (``A P Aᵀ + Q``), only its upper triangle, mirrored: it stays
-symmetric to the last bit and positive semi-definite to rounding of its own entries.
+one plus a positive semi-definite term (``A P Aᵀ + Q``), both halves averaged: it stays symmetric to the last
+bit, and positive semi-definite as long as double precision can tell R from H P Hᵀ (ratios down to 1e-12).
 
 A correction is skipped, and says so by its NIS, when the NIS exceeds `gate`, is not finite, or S is not
 positive definite (NIS is then NaN): the sample was used exactly if ``nis <= gate`` and NIS is finite.
@@ -77,7 +77,7 @@ def cholesky_solve(L, B):
 
 @njit(cache=True, nogil=True)
 def propagate_covariance(P, F, Q):
-    """Replace P (n, n) by ``F P Fᵀ + Q`` in place; P and Q are taken as symmetric."""
+    """Replace P (n, n) by ``F P Fᵀ + Q`` in place; P and Q are taken as symmetric (Q: its upper half)."""
     n = P.shape[0]
     product = np.zeros((n, n))
     for i in range(n):
@@ -91,16 +91,21 @@ def propagate_covariance(P, F, Q):
         for j in range(i + 1, n):
             product[i, j], product[j, i] = product[j, i], product[i, j]
     for i in range(n):
-        for j in range(i, n):
-            P[i, j] = Q[i, j]
+        for j in range(n):
+            P[i, j] = 0.0
         for k in range(n):
             f = F[i, k]
             if f != 0.0:
-                for j in range(i, n):
+                for j in range(n):
                     P[i, j] += f * product[k, j]
+    # The mean of both halves, not one of them mirrored: the rounding of the first product enters one half
+    # more than the other, and mirroring lets it grow until P is indefinite.
     for i in range(n):
+        P[i, i] += Q[i, i]
         for j in range(i + 1, n):
-            P[j, i] = P[i, j]
+            mean = 0.5 * (P[i, j] + P[j, i]) + Q[i, j]
+            P[i, j] = mean
+            P[j, i] = mean
 
 
 @njit(cache=True, nogil=True)

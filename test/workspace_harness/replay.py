@@ -38,6 +38,11 @@ class Estimator:
         return f'{self.space}_node'
 
     @property
+    def inputs(self) -> list[str]:
+        """Topics that the node listens to."""
+        return [f'/{port.topic}' for port in find_ports(self.package, self.name).inputs]
+
+    @property
     def outputs(self) -> dict[str, str]:
         """Output topics as declared → as published."""
         ports = find_ports(self.package, self.name)
@@ -78,6 +83,9 @@ def live(
         recorder = stack.enter_context(
             Process.node('bag_tools', 'record', str(out), *topics, *step, '--overwrite')
         )
+        with BagReader(bag) as reader:
+            # Truth and the like need not travel through the graph.
+            played = sorted({t for e in estimators for t in e.inputs} & set(reader.topics))
         waited = ['/recorder', *(f'/{e.node}' for e in estimators)]
         player = stack.enter_context(
             Process.node(
@@ -86,6 +94,8 @@ def live(
                 str(bag),
                 *pace,
                 *step,
+                '--topics',
+                *played,
                 '--wait-for',
                 *waited,
                 *([] if progress else ['--quiet']),
@@ -118,7 +128,7 @@ def offline_all(bag: Path, estimators: list[Estimator], folder: Path) -> dict[st
 
 
 def cut(bag: Path, seconds: float, out: Path) -> Path:
-    """Write the first `seconds` of `bag` to `out` and return it; a bag that is no longer is returned as is."""
+    """Write the first `seconds` of `bag` to `out` and return it, or return the bag if it is no longer."""
     with BagReader(bag) as reader:
         if reader.stop - reader.start <= seconds * 1e9:
             return bag

@@ -55,7 +55,9 @@ class Recorder(Node):
         types = dict(self.get_topic_names_and_types())
         names = self._wanted or sorted(set(types) - {LOCKSTEP_TOPIC})
         for topic in names:
-            if topic not in self._subscriptions_by_topic and self.count_publishers(topic):
+            # A publisher may be known before the type list that was read holds its topic.
+            known = topic in types and self.count_publishers(topic) > 0
+            if known and topic not in self._subscriptions_by_topic:
                 self._subscribe(topic, types[topic][0])
         return [t for t in self._wanted if not self._matched(t)]
 

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `./ws run` replays of this package: fixtures, and recordings with an optical reference."""
+
+from bag_tools.catalogue import Entry, Replay
+
+_ENTRIES = (
+    Entry('published', 'angle_estimator', 'imu/data', {'variant': 'published'}),
+    Entry('corrected', 'angle_estimator', 'imu/data', {'variant': 'corrected'}),
+    Entry('attitude', 'attitude_estimator', 'imu/data'),
+)
+_TRUTH = '/truth/orientation'
+# Errors count once every estimator has had time to start, as BENCHMARKS.md has it for the ship.
+_SETTLED = 10.0  # s
+_TILT_AND_HEADING = ('inclination', 'heading')
+
+REPLAYS = (
+    Replay('imu_tilt', 'tilt steps of 30 degrees', _TRUTH, _ENTRIES, _TILT_AND_HEADING, after=_SETTLED),
+    Replay(
+        'imu_hand_held', 'turned and swung in a hand', _TRUTH, _ENTRIES, _TILT_AND_HEADING, after=_SETTLED
+    ),
+    Replay(
+        'imu_rolling_ship', 'started on a rolling ship', _TRUTH, _ENTRIES, _TILT_AND_HEADING, after=_SETTLED
+    ),
+    Replay('imu_bad_data', 'faults between clean data', _TRUTH, _ENTRIES, _TILT_AND_HEADING, after=_SETTLED),
+)
+
+
+def recorded(name: str) -> Replay:
+    """Return the replay of an imported BROAD trial, scored while it moves."""
+    return Replay(
+        name,
+        f'recorded motion with optical reference ({name})',
+        _TRUTH,
+        _ENTRIES,
+        ('total', 'heading', 'inclination'),
+        where='/truth/movement',
+    )

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vertical loop: height and climb rate from a range finder and the accelerometer, hover thrust, hold."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from quad_control.params import GRAVITY, ControllerParams
+
+# Flat state: height (m), climb rate (m/s), time of the last range (s), hover thrust (fraction), integral
+# (fraction), held height (m), whether held, time low on the ground since (s, < 0 none).
+_HEIGHT, _CLIMB, _RANGE_TIME, _HOVER, _INTEGRAL, _HELD, _HOLDING, _LOW_SINCE = range(8)
+SIZE = 8
+# Observer with a double pole at 3 rad/s: slower than the range finder's noise, faster than a drift.
+_POLE = 3.0
+# Range samples may be 0.1 s apart (10 Hz finder); longer than this (s) is silence.
+_FRESH = 0.5
+# Hover thrust is learnt with this time constant (s) while the vertical force is within these limits of g.
+_HOVER_TIME, _HOVER_LOW, _HOVER_HIGH = 0.5, 0.7, 1.3
+# On the ground: lower than this (m) and not moving faster than this (m/s) for this long (s).
+_LANDED_HEIGHT, _LANDED_CLIMB, _LANDED_TIME = 0.25, 0.15, 0.5
+# Held heights move with climb rates of at most this (m/s).
+_MAX_CLIMB = 1.5
+# Integral limit, fraction of thrust.
+_INTEGRAL_LIMIT = 0.2
+
+
+class Altitude:
+    """Keeps height, climb rate and hover thrust in `state` (8,)."""
+
+    def __init__(self, state: np.ndarray) -> None:
+        self.state = state
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget height and hover thrust."""
+        self.state[:] = 0.0
+        self.state[_RANGE_TIME] = -math.inf
+        self.state[_LOW_SINCE] = -1.0
+
+    @property
+    def hover(self) -> float:
+        """Thrust fraction per motor that hovers, learnt in flight; 0 before."""
+        return float(self.state[_HOVER])
+
+    @hover.setter
+    def hover(self, value: float) -> None:
+        self.state[_HOVER] = value
+
+    def fresh(self, time: float) -> bool:
+        """Whether a range was heard lately; `time` s."""
+        return time - self.state[_RANGE_TIME] < _FRESH
+
+    def predict(self, q, force, dt: float) -> None:
+        """Carry height and climb rate on with the vertical acceleration of ``q`` (4,) and force (m/s²)."""
+        w, x, y, z = q
+        up = 2.0 * (x * z - w * y) * force[0] + 2.0 * (y * z + w * x) * force[1]
+        up += (1.0 - 2.0 * (x * x + y * y)) * force[2] - GRAVITY
+        self.state[_HEIGHT] += dt * self.state[_CLIMB]
+        self.state[_CLIMB] += dt * up
+
+    def correct(self, height: float, time: float) -> None:
+        """Take a measured height (m) at `time` (s)."""
+        s = self.state
+        gap = time - s[_RANGE_TIME]
+        if gap > _FRESH:
+            s[_HEIGHT], s[_CLIMB] = height, 0.0
+        else:
+            error = height - s[_HEIGHT]
+            s[_HEIGHT] += min(2.0 * _POLE * gap, 1.0) * error
+            s[_CLIMB] += min(_POLE * _POLE * gap, 1.0) * error
+        s[_RANGE_TIME] = time
+
+    def learn_hover(self, thrust: float, force_up: float, dt: float) -> None:
+        """Learn the hover thrust: the thrust fraction given over the specific force it made."""
+        ratio = force_up / GRAVITY
+        if thrust < 0.05 or not _HOVER_LOW < ratio < _HOVER_HIGH:
+            return
+        here = thrust / ratio
+        if self.state[_HOVER] == 0.0:
+            self.state[_HOVER] = here
+        else:
+            self.state[_HOVER] += min(dt / _HOVER_TIME, 1.0) * (here - self.state[_HOVER])
+
+    def climb(self, rate: float, p: ControllerParams, dt: float) -> float:
+        """Return the throttle for a climb `rate` (m/s)."""
+        s = self.state
+        error = rate - s[_CLIMB]
+        integral = s[_INTEGRAL] + p.climb_i * error * dt
+        s[_INTEGRAL] = min(max(integral, -_INTEGRAL_LIMIT), _INTEGRAL_LIMIT)
+        return min(max(s[_HOVER] + p.climb_p * error + s[_INTEGRAL], 0.0), 1.0)
+
+    def hold(self, p: ControllerParams, dt: float) -> float:
+        """Return the throttle that keeps the height at which hold began."""
+        s = self.state
+        if not s[_HOLDING]:
+            s[_HOLDING], s[_HELD], s[_INTEGRAL] = 1.0, s[_HEIGHT], 0.0
+        rate = p.altitude_p * (s[_HELD] - s[_HEIGHT])
+        return self.climb(min(max(rate, -_MAX_CLIMB), _MAX_CLIMB), p, dt)
+
+    def release(self) -> None:
+        """End a hold."""
+        self.state[_HOLDING] = 0.0
+
+    def on_ground(self, time: float) -> bool:
+        """Whether the craft has been low and at rest long enough to stop the motors."""
+        s = self.state
+        if s[_HEIGHT] > _LANDED_HEIGHT or abs(s[_CLIMB]) > _LANDED_CLIMB:
+            s[_LOW_SINCE] = -1.0
+            return False
+        if s[_LOW_SINCE] < 0.0:
+            s[_LOW_SINCE] = time
+        return time - s[_LOW_SINCE] > _LANDED_TIME

@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The attitude controller: attitude and setpoint in, four pulses out; arming, trial and autotune inside."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from kalman_core.health import Tally
+from quad_control.altitude import SIZE as ALTITUDE_SIZE
+from quad_control.altitude import Altitude
+from quad_control.arming import ARMED, DESCENT, NAMES, Arming, Checks
+from quad_control.arming import SIZE as ARMING_SIZE
+from quad_control.attitude_error import attitude_error, heading, tilt_cosine
+from quad_control.attitude_loop import AXES, YAW_CENTRE, AttitudeLoop, clip
+from quad_control.attitude_loop import SIZE as LOOP_SIZE
+from quad_control.mixer import mix, pulses_from_thrust
+from quad_control.params import GAINS, ControllerParams
+from quad_control.samples import (
+    ArmingState,
+    Attitude,
+    BatterySample,
+    ControlReport,
+    Event,
+    MotorCommand,
+    RangeSample,
+    Setpoint,
+)
+from quad_control.trial import Trial
+from quad_control.tuning import RelayTest, cascade_for, plant_from_ultimate
+
+NANOSECONDS = 1_000_000_000
+ATTITUDE, SETPOINT, RANGE, BATTERY = 'imu/data', 'setpoint', 'range', 'battery'
+# The first step has no predecessor: it takes the paper's period (s).
+_FIRST_STEP = 0.005
+# Attitudes in a row that are older than the newest before the clock is believed to have jumped back.
+_JUMP_CONFIRMATIONS = 10
+# Throttle (fraction) that counts as take-off: from here on integrals run and throttle zero keeps control.
+_TAKE_OFF = 0.1
+# Throttle is divided by the cosine of the tilt, at most by this cosine (60°).
+_LEAST_COSINE = 0.5
+# Dead time assumed by the autotune (s): one sample; the hold is added by the plant model.
+_ASSUMED_DELAY = 0.005
+
+# Flat state.
+_ARMING = slice(0, ARMING_SIZE)
+_ALTITUDE = slice(ARMING_SIZE, ARMING_SIZE + ALTITUDE_SIZE)
+_OWN = ARMING_SIZE + ALTITUDE_SIZE
+_HEADING, _AIRBORNE, _ATTITUDE_TIME, _SETPOINT_TIME, _VOLTAGE = range(_OWN, _OWN + 5)
+_LOOP = slice(_OWN + 5, _OWN + 5 + LOOP_SIZE)
+_SIZE = _OWN + 5 + LOOP_SIZE
+
+
+class AttitudeController:
+    """Estimator of the `attitude_controller` node: handlers return what is to be published.
+
+    `params` may be replaced in flight through `set_params`; gains then move in over `gain_blend_time` and,
+    with `guard_gain_changes`, are on trial.
+    """
+
+    def __init__(self, params: ControllerParams | None = None) -> None:
+        self.params = params or ControllerParams()
+        self.tally = Tally()
+        self.state = np.zeros(_SIZE)
+        s = self.state
+        self.arming = Arming(self.params, s[_ARMING])
+        self.altitude = Altitude(s[_ALTITUDE])
+        self.loop = AttitudeLoop(self.params, s[_LOOP])
+        self._thrust, self._achieved, self._pulses = np.zeros(4), np.zeros(4), np.zeros(4)
+        self._events: list[Event] = []
+        self.reset()
+
+    def reset(self) -> None:
+        """Disarm and forget everything but the parameters."""
+        s = self.state
+        s[:] = 0.0
+        self.arming.reset()
+        self.altitude.reset()
+        self.loop.reset()
+        s[_ATTITUDE_TIME] = s[_SETPOINT_TIME] = -math.inf
+        s[_VOLTAGE] = math.nan
+        self._epoch: int | None = None
+        self._setpoint = Setpoint(0, 0.0, 0.0, 0.0, 0.0, False)
+        self._attitude: Attitude | None = None
+        self._older = 0
+        self._unchanged: tuple[float, int] | None = None
+        self._trial: Trial | None = None
+        self._relay: tuple[int, RelayTest] | None = None
+        self.proposal: dict[str, float] | None = None
+        self._events.clear()
+
+    # Handlers -----------------------------------------------------------------------------------------
+
+    def on_setpoint(self, sample: Setpoint) -> None:
+        """Take the pilot's demand; angles and throttle are limited to their ranges."""
+        values = sample[1:5]
+        if not all(map(math.isfinite, values)):
+            self.tally.reject(SETPOINT, 'not finite')
+            return
+        if sample.stamp < self._setpoint.stamp and self._setpoint.stamp - sample.stamp < NANOSECONDS:
+            self.tally.reject(SETPOINT, 'older than the last')
+            return
+        p = self.params
+        limited = Setpoint(
+            sample.stamp,
+            clip(sample.roll, p.max_tilt),
+            clip(sample.pitch, p.max_tilt),
+            clip(sample.yaw_rate, p.max_yaw_rate),
+            min(max(sample.throttle, 0.0), 1.0),
+            sample.arm,
+            sample.hold,
+        )
+        self._setpoint = limited
+        # The age counts from the attitude it met, so that pilot and IMU may keep different clocks.
+        self.state[_SETPOINT_TIME] = self._newest_time()
+        self.tally.accept(SETPOINT, sample.stamp)
+
+    def on_range(self, sample: RangeSample) -> None:
+        """Take a height over ground (m)."""
+        if not math.isfinite(sample.height) or sample.height < 0.0:
+            self.tally.reject(RANGE, 'not a height')
+            return
+        self.altitude.correct(sample.height, self._newest_time())
+        self.tally.accept(RANGE, sample.stamp)
+
+    def on_battery(self, sample: BatterySample) -> None:
+        """Take the battery voltage (V)."""
+        if not math.isfinite(sample.voltage) or sample.voltage <= 0.0:
+            self.tally.reject(BATTERY, 'not a voltage')
+            return
+        last = self.state[_VOLTAGE]
+        # A first-order low-pass over 5 samples: the sag of one gust is not an empty battery.
+        blend = 1.0 if math.isnan(last) else 0.2
+        self.state[_VOLTAGE] = sample.voltage if blend == 1.0 else last + blend * (sample.voltage - last)
+        self.tally.accept(BATTERY, sample.stamp)
+
+    def on_attitude(self, sample: Attitude) -> list | None:
+        """Fly one step; returns the motor command, the report and events, or None for an unusable sample."""
+        if not all(map(math.isfinite, (*sample.quaternion, *sample.rate, *sample.force))):
+            self.tally.reject(ATTITUDE, 'not finite')
+            return None
+        if self._epoch is None:
+            self._epoch = sample.stamp
+        time = (sample.stamp - self._epoch) * 1e-9
+        last = float(self.state[_ATTITUDE_TIME])
+        if time <= last:
+            return self._backward(sample)
+        self._older = 0
+        first = self._attitude is None
+        gap = _FIRST_STEP if first else time - last
+        self.state[_ATTITUDE_TIME] = time
+        self._attitude = sample
+        self.tally.accept(ATTITUDE, sample.stamp)
+        self._say('arming', self.arming.tick(self._checks(time, 0.0 if first else gap)), sample.stamp)
+        if not self.arming.flying:
+            return self._rest(sample)
+        return self._fly(sample, time, min(gap, self.params.imu_timeout))
+
+    def on_tick(self, clock: float) -> list:
+        """Watch for silence; `clock` is any steady time in s. Returns a stop when attitudes have ceased.
+
+        Call it at least every 10 ms: an attitude older than `imu_timeout` stops the motors.
+        """
+        if self._attitude is None or not self.arming.flying:
+            self._unchanged = None
+            return []
+        stamp = self._attitude.stamp
+        if self._unchanged is None or self._unchanged[1] != stamp:
+            self._unchanged = (clock, stamp)
+            return []
+        age = clock - self._unchanged[0]
+        if age <= self.params.imu_timeout:
+            return []
+        time = float(self.state[_ATTITUDE_TIME])
+        self._say('arming', self.arming.tick(self._checks(time + age, age)), stamp + round(age * 1e9))
+        return self._rest(self._attitude._replace(stamp=stamp + round(age * 1e9)))
+
+    # Pilot and tuning ---------------------------------------------------------------------------------
+
+    def arm(self, on: bool) -> tuple[bool, str]:
+        """Arm or disarm; returns whether the wish was met, and what happened."""
+        text = self.arming.request(on, self._checks(self._newest_time(), 0.0 if self._attitude else math.inf))
+        self._say('arming', text, self._newest_stamp())
+        return (self.arming.flying == on), text or NAMES[self.arming.mode]
+
+    def kill(self) -> str:
+        """Stop the motors at once."""
+        text = self.arming.kill(self._newest_time())
+        self._say('arming', text, self._newest_stamp())
+        return text
+
+    def start_flying(self, quaternion: tuple, throttle: float) -> None:
+        """Take over a craft that already flies at `quaternion` with hover `throttle`: no checks, armed."""
+        self.arming.state[0] = ARMED
+        self.state[_AIRBORNE] = 1.0
+        self.state[_HEADING] = heading(np.asarray(quaternion))
+        self.altitude.hover = throttle
+
+    def set_params(self, params: ControllerParams, *, trial: bool | None = None) -> None:
+        """Take new parameters; gains move in bumplessly and, in flight, are on trial unless told not to."""
+        before = {name: getattr(self.params, name) for name in GAINS}
+        changed = [name for name in GAINS if before[name] != getattr(params, name)]
+        self.params = params
+        self.arming.params = params
+        self.loop.configure(params)
+        wanted = params.guard_gain_changes if trial is None else trial
+        if changed and wanted and self.arming.mode == ARMED:
+            # A second change during a trial must fall back to the gains that were good before both.
+            known = self._trial.before if self._trial else before
+            self._trial = Trial(params, self._newest_time(), known)
+            self._say('trial', f'{", ".join(changed)} for {params.trial_time:g} s', self._newest_stamp())
+
+    def autotune(self, axis: str) -> str:
+        """Start a relay test on `axis`; returns an empty string or why not."""
+        if axis not in AXES:
+            return f"axis is '{axis}', allowed: {', '.join(AXES)}"
+        if self.arming.mode != ARMED or not self.state[_AIRBORNE]:
+            return 'autotune needs an armed craft off the ground'
+        if self.params.controller != 'cascade':
+            return 'autotune needs controller: cascade'
+        p = self.params
+        self._relay = (AXES.index(axis), RelayTest(p.relay_amplitude, p.relay_hysteresis))
+        self._say('autotune', f'{axis}: relay of {p.relay_amplitude:g} started', self._newest_stamp())
+        return ''
+
+    def diagnostics(self) -> dict:
+        """Return the controller's own values for the diagnostics."""
+        voltage = float(self.state[_VOLTAGE])
+        return {
+            'arming': NAMES[self.arming.mode],
+            'airborne': bool(self.state[_AIRBORNE]),
+            'controller': self.params.controller,
+            'trial': self._trial is not None,
+            'autotune': self._relay is not None,
+            'hover_thrust': self.altitude.hover,
+            'battery_v': voltage,
+        }
+
+    def take_events(self) -> list[Event]:
+        """Return events that arose outside a handler (services, parameters), and forget them."""
+        events, self._events = self._events, []
+        return events
+
+    @property
+    def last_demand(self) -> np.ndarray:
+        """Torque demand (3,) of the last step, thrust fractions, before the mixer."""
+        return self.loop.demand
+
+    # One step -----------------------------------------------------------------------------------------
+
+    def _fly(self, sample: Attitude, time: float, dt: float) -> list:
+        p = self.params
+        s = self.state
+        q = np.array(sample.quaternion)
+        self.loop.blend(dt)
+        self.altitude.predict(sample.quaternion, sample.force, dt)
+        roll, pitch, yaw_rate, throttle = self._demand(time, dt)
+        if throttle > _TAKE_OFF:
+            s[_AIRBORNE] = 1.0
+        if abs(yaw_rate) > YAW_CENTRE or not s[_AIRBORNE]:
+            s[_HEADING] = heading(q)
+        errors = attitude_error(q, roll, pitch, s[_HEADING])
+        targets = self.loop.rate_targets(errors, yaw_rate, self._relay[0] if self._relay else -1)
+        if not s[_AIRBORNE]:
+            self.loop.rest()
+            throttle = 0.0
+        else:
+            self.loop.step(sample.rate, errors, targets, yaw_rate, dt, self._relay)
+            throttle /= max(tilt_cosine(q), _LEAST_COSINE)
+        demand = self.loop.demand
+        mix(demand[0], demand[1], demand[2], throttle, p.idle_thrust, 1.0, self._thrust, self._achieved)
+        self.loop.unwind(self._achieved)
+        self.altitude.learn_hover(self._achieved[3], sample.force[2], dt)
+        self._watch(sample, time, dt, errors, targets)
+        voltage = s[_VOLTAGE]
+        sag = 1.0
+        if p.sag_compensation and not math.isnan(voltage):
+            sag = min(max(voltage / p.voltage_full, 0.5), 1.2)
+        pulses_from_thrust(self._thrust, p.thrust_curve, sag, p.pulse_min, p.pulse_max, self._pulses)
+        report = ControlReport(
+            sample.stamp,
+            (roll, pitch, yaw_rate),
+            (roll - errors[0], pitch - errors[1], sample.rate[2]),
+            (float(demand[0]), float(demand[1]), float(demand[2]), float(throttle)),
+            _four(self._achieved),
+        )
+        return [MotorCommand(sample.stamp, _four(self._pulses), _four(self._thrust)), report, *self._said()]
+
+    def _rest(self, sample: Attitude) -> list:
+        p = self.params
+        self.loop.rest()
+        self.state[_AIRBORNE] = 0.0
+        self._trial = None
+        self._relay = None
+        stop = (p.pulse_min,) * 4
+        zero = (0.0, 0.0, 0.0, 0.0)
+        angles = attitude_error(np.array(sample.quaternion), 0.0, 0.0, heading(np.array(sample.quaternion)))
+        set_now = self._setpoint
+        report = ControlReport(
+            sample.stamp,
+            (set_now.roll, set_now.pitch, set_now.yaw_rate),
+            (-angles[0], -angles[1], sample.rate[2]),
+            zero,
+            zero,
+        )
+        return [MotorCommand(sample.stamp, stop, zero), report, *self._said()]
+
+    def _demand(self, time: float, dt: float) -> tuple[float, float, float, float]:
+        p, sp, altitude = self.params, self._setpoint, self.altitude
+        fresh = altitude.fresh(time)
+        if self.arming.mode == DESCENT:
+            if fresh and altitude.on_ground(time):
+                self._say('arming', self.arming.landed(time), self._newest_stamp())
+                return 0.0, 0.0, 0.0, 0.0
+            if fresh:
+                return 0.0, 0.0, 0.0, altitude.climb(-p.descent_rate, p, dt)
+            return 0.0, 0.0, 0.0, p.descent_throttle * altitude.hover
+        if sp.hold and fresh and self.state[_AIRBORNE]:
+            return sp.roll, sp.pitch, sp.yaw_rate, altitude.hold(p, dt)
+        altitude.release()
+        return sp.roll, sp.pitch, sp.yaw_rate, sp.throttle
+
+    def _watch(self, sample: Attitude, time: float, dt: float, errors: tuple, targets: list[float]) -> None:
+        """Run the trial and the autotune on what this step has shown."""
+        if self._trial:
+            rate_errors = tuple(t - r for t, r in zip(targets, sample.rate))
+            saturated = bool(np.any(np.abs(self.loop.demand - self._achieved[:3]) > 1e-9))
+            verdict = self._trial.watch(time, dt, rate_errors, errors, saturated)
+            if verdict:
+                trial, self._trial = self._trial, None
+                if verdict != 'kept':
+                    self.params = dataclasses.replace(self.params, **trial.before)  # type: ignore[arg-type]
+                    self.loop.configure(self.params)
+                self._say('trial', verdict, sample.stamp)
+        if self._relay:
+            axis, relay = self._relay
+            failed = relay.failed
+            if max(abs(errors[0]), abs(errors[1])) > self.params.trial_error:
+                failed = f'angle error {max(abs(errors[0]), abs(errors[1])):.2f} rad'
+            if failed:
+                self._relay = None
+                self._say('autotune', f'{AXES[axis]}: stopped, {failed}', sample.stamp)
+            elif relay.result is not None:
+                self._relay = None
+                self._propose(axis, relay.result, sample.stamp)
+
+    def _propose(self, axis: int, ultimate, stamp: int) -> None:
+        gains = cascade_for(plant_from_ultimate(ultimate, _ASSUMED_DELAY))
+        name = AXES[axis]
+        self.proposal = {
+            f'{name}_angle_p': gains.angle_p,
+            f'{name}_rate_p': gains.rate_p,
+            f'{name}_rate_i': gains.rate_i,
+            f'{name}_rate_d': gains.rate_d,
+        }
+        listed = ', '.join(f'{key} {value:.4g}' for key, value in self.proposal.items())
+        self._say(
+            'proposal',
+            f'{name}: Ku {ultimate.gain:.3g}, Tu {ultimate.period:.3g} s -> {listed}; {gains.margins}',
+            stamp,
+        )
+
+    # Small things -------------------------------------------------------------------------------------
+
+    def _backward(self, sample: Attitude) -> list | None:
+        self.tally.reject(ATTITUDE, 'older than the last')
+        self._older += 1
+        if self._older < _JUMP_CONFIRMATIONS:
+            return None
+        self.tally.restart('time jumped back')
+        self.reset()
+        return None
+
+    def _checks(self, time: float, attitude_age: float) -> Checks:
+        a = self._attitude
+        voltage = float(self.state[_VOLTAGE])
+        return Checks(
+            time,
+            attitude_age,
+            time - float(self.state[_SETPOINT_TIME]),
+            math.inf if a is None else math.sqrt(max(max(a.rate_variance), 0.0)),
+            math.inf if a is None else math.acos(min(max(tilt_cosine(np.array(a.quaternion)), -1.0), 1.0)),
+            self._setpoint.throttle,
+            self._setpoint.arm,
+            None if math.isnan(voltage) else voltage,
+        )
+
+    def _newest_time(self) -> float:
+        time = float(self.state[_ATTITUDE_TIME])
+        return time if math.isfinite(time) else 0.0
+
+    def _newest_stamp(self) -> int:
+        return self._attitude.stamp if self._attitude else 0
+
+    def _say(self, kind: str, text: str, stamp: int) -> None:
+        if text:
+            self._events.append(Event(stamp, kind, text))
+
+    def _said(self) -> list:
+        events = self.take_events()
+        out: list = list(events)
+        if any(event.kind == 'arming' for event in events):
+            out.append(ArmingState(events[-1].stamp, NAMES[self.arming.mode]))
+        return out
+
+
+def _four(values: np.ndarray) -> tuple[float, float, float, float]:
+    a, b, c, d = values
+    return float(a), float(b), float(c), float(d)

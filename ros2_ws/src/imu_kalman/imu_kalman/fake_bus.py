@@ -29,7 +29,7 @@ class FakeDevice(Protocol):
 class ManualClock:
     """Time (ns) that passes only when told."""
 
-    def __init__(self, now: int = 1_000_000_000) -> None:
+    def __init__(self, now: int = 1_700_000_000_000_000_000) -> None:
         self.now = now
 
     def __call__(self) -> int:

@@ -15,6 +15,9 @@ from typing import Protocol
 import numpy as np
 
 from imu_kalman import mpu6050_registers as reg
+from imu_kalman.fake_bus import FakeBus
+from imu_kalman.sim_params import SimulatorParams
+from imu_kalman.simulation_motion import TruthModel
 
 _SECOND = 1_000_000_000
 # The chip does not answer while it resets (PS: up to 100 ms from power-up; 5 ms is an estimate for a reset).
@@ -234,3 +237,21 @@ class FakeMpu6050:
     def _overflow(self) -> None:
         if self.registers[reg.USER_CTRL] & reg.USER_FIFO_EN:
             self.registers[reg.INT_STATUS] |= self.registers[reg.INT_ENABLE] & reg.INT_FIFO_OVERFLOW
+
+
+def moving_chip_bus(address: int, motion: str, seed: int, clock: Callable[[], int]) -> FakeBus:
+    """Return a bus with one chip that is moved as the simulator moves its sensor, after 5 s of rest.
+
+    Its gyro has a bias of 1 °/s 1 sigma and its clock is off by 1 % 1 sigma, both by `seed`.
+    """
+    params = SimulatorParams(motion=motion, initial_rest=5.0)
+    rng = np.random.default_rng(seed)
+    bias = reg.DEGREE * rng.standard_normal(3)
+    chip = FakeMpu6050(
+        TruthModel(params, rng),
+        start=clock(),
+        seed=seed,
+        clock_error=0.01 * float(rng.standard_normal()),
+        gyro_bias=(float(bias[0]), float(bias[1]), float(bias[2])),
+    )
+    return FakeBus({address: chip}, clock)

@@ -130,7 +130,7 @@ class Mpu6050Driver:
         self._previous_frame = b''
         self._equal_frames = 0
         self._looked: int | None = None
-        self._last_middle = 0
+        self._last_middle: int | None = None
 
     @property
     def bias(self) -> np.ndarray:
@@ -189,8 +189,10 @@ class Mpu6050Driver:
     def diagnostics(self) -> dict[str, Any]:
         """Return what /diagnostics says; 'level' is 0 (ok), 1 (warning) or 2 (error)."""
         link = self.link
-        if not self.running:
-            level, message = 2, f'no samples: {link.last_fault}' if link.last_fault else 'starting'
+        if not self.running and not link.last_fault:
+            level, message = 1, 'starting'
+        elif not self.running:
+            level, message = 2, f'no samples: {link.last_fault}'
         elif self._calibrating:
             level, message = 1, f'gyro bias unknown: {self.calibration_message}'
         else:
@@ -266,6 +268,7 @@ class Mpu6050Driver:
         device.read(reg.INT_STATUS)
         self._stamps.reset()
         self._looked = None
+        self._last_middle = None
 
     def _run(self, device: I2cDevice, now: int) -> list[ImuReading]:
         if now >= self._next_check:
@@ -329,12 +332,10 @@ class Mpu6050Driver:
         if looked is not None:
             earliest = min(max(earliest, looked), before)
         middle = (earliest + after) // 2
-        count = max(1, round((middle - self._last_middle) * 1e-9 / self._stamps.period))
-        self._last_middle = middle
-        if looked is None:
-            self._stamps.reset()
-            count = 1
-        return [data[1:]], self._stamps.update(count, earliest, after)[-1:]
+        last, self._last_middle = self._last_middle, middle
+        # Samples that came and went unseen have their place in time too.
+        count = 1 if last is None else max(1, round((middle - last) * 1e-9 / self._stamps.period))
+        return [data[1:]], self._stamps.update(count, earliest, after, wanted=1)
 
     def _watch_frozen(self, frames: list[bytes]) -> None:
         for frame in frames:

@@ -50,8 +50,11 @@ class StampFilter:
         """1 sigma of the newest stamp (s)."""
         return math.sqrt(self._cov[0, 0])
 
-    def update(self, count: int, earliest: int, latest: int) -> list[int]:
-        """Return the stamps of the `count` newest samples, oldest first, strictly increasing."""
+    def update(self, count: int, earliest: int, latest: int, wanted: int | None = None) -> list[int]:
+        """Return the stamps of the `wanted` newest of `count` samples, oldest first, strictly increasing.
+
+        `count` is how many the chip has taken since the last call, read or not; `wanted` None means all.
+        """
         width = (latest - earliest) * 1e-9
         middle = (earliest + latest) // 2
         variance = width * width / 12.0 + _JITTER**2
@@ -66,7 +69,7 @@ class StampFilter:
             self._cov[0, 1] = self._cov[1, 0] = 0.0
         # What is certain: the newest sample was there when it was counted.
         self._newest = min(self._newest, latest)
-        return self._spread(count)
+        return self._spread(count, count if wanted is None else wanted)
 
     def _correct(self, count: int, middle: int, width: float, variance: float) -> bool:
         """Predict over `count` samples and correct; False when the time does not fit."""
@@ -89,7 +92,7 @@ class StampFilter:
         p[1, 1] = p11 - gain1 * p01
         return True
 
-    def _spread(self, count: int) -> list[int]:
+    def _spread(self, count: int, wanted: int) -> list[int]:
         assert self._newest is not None
         newest, last = self._newest, self._last
         step = self.period * 1e9
@@ -100,4 +103,4 @@ class StampFilter:
             if gap < 1.5 * count * step:
                 step = gap / count
         self._last = newest
-        return [newest - round((count - 1 - i) * step) for i in range(count)]
+        return [newest - round(age * step) for age in range(wanted - 1, -1, -1)]

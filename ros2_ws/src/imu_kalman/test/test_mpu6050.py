@@ -595,7 +595,7 @@ def test_whatever_happens_samples_are_true_and_come_back(faults, pacing, seed):
             # A wrong range is seen by the next check only: until then the numbers are off.
             rig.run(1.2)
             flipped = False
-    recovered = rig.run(3.0)
+    recovered = rig.run(4.0)
     assert len(recovered) > 50
     accel = np.array([r.accel for r in readings + recovered])
     gyro = np.array([r.gyro for r in readings + recovered])

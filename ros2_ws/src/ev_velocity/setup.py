@@ -20,7 +20,7 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="Longitudinal speed of an electric car at 500 Hz from wheels, GPS, accelerometer and pedals.",
+    description='Longitudinal speed of an electric car at 500 Hz from wheels, GPS, accelerometer and pedals.',
     license='Apache-2.0',
     entry_points={'console_scripts': []},
 )

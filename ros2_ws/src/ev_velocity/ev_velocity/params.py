@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of every node of this package: units, bounds and meaning, declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kalman_core.parameters import parameter
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityParams:
+    """The joint filter."""
+
+    wheel_radius: float = parameter(0.285, 'nominal rolling radius', unit='m', minimum=0.05, maximum=2.0)
+    pulses_per_revolution: float = parameter(36.0, 'encoder pulses per wheel turn', minimum=1.0)
+    accelerometer_noise: float = parameter(
+        0.0067, 'white noise density of the accelerometer', unit='m/s²/√Hz', minimum=0.0, live=True
+    )
+    bias_noise: float = parameter(
+        0.002, 'random walk of the accelerometer bias', unit='m/s²/√s', minimum=0.0, live=True
+    )
+    grade_noise: float = parameter(
+        0.009, 'random walk of g·sin(grade) with distance', unit='m/s²/√m', minimum=0.0, live=True
+    )
+    bias_sigma: float = parameter(0.5, 'bias and grade at start', unit='m/s²', minimum=1e-3)
+    pitch_gain: float = parameter(
+        0.025, 'share of the acceleration that pitch adds', minimum=-0.2, maximum=0.2
+    )
+    pitch_gain_sigma: float = parameter(0.02, 'its uncertainty', minimum=0.0, maximum=0.2)
+    scale: float = parameter(
+        0.0, 'wheel scale error: the wheel reads (1 + scale) times the road', minimum=-0.2, maximum=0.2
+    )
+    scale_sigma: float = parameter(0.015, 'its uncertainty', minimum=1e-5, maximum=0.2)
+    scale_noise: float = parameter(1e-5, 'random walk of the scale with distance', unit='1/√m', minimum=0.0)
+    slip: float = parameter(
+        0.005,
+        'longitudinal slip per acceleration: 1/(g·20), tyre slip stiffness 20',
+        unit='s²/m',
+        minimum=0.0,
+        maximum=0.05,
+    )
+    slip_sigma: float = parameter(0.003, 'its uncertainty', unit='s²/m', minimum=0.0, maximum=0.05)
+    wheel_noise: float = parameter(
+        0.001, 'random walk of the rolled distance with distance', unit='m/√m', minimum=0.0, live=True
+    )
+    wheel_speed_sigma: float = parameter(
+        0.15, 'noise of a wheel or vehicle speed signal', unit='m/s', minimum=1e-3, live=True
+    )
+    wheel_speed_correlation: float = parameter(
+        0.5, 'time over which that noise is one and the same', unit='s', minimum=0.0, live=True
+    )
+    wheel_delay: float = parameter(0.0, 'delay of the wheel signal', unit='s', minimum=0.0, maximum=1.0)
+    wheel_delay_sigma: float = parameter(0.0, 'its uncertainty', unit='s', minimum=0.0, maximum=1.0)
+    speed_delay: float = parameter(
+        0.1, 'delay of a wheel or vehicle speed signal', unit='s', minimum=0.0, maximum=1.0
+    )
+    speed_delay_sigma: float = parameter(0.2, 'its uncertainty', unit='s', minimum=0.0, maximum=1.0)
+    gps_sigma: float = parameter(
+        0.1, 'noise of the GPS speed where the message gives none', unit='m/s', minimum=1e-3, live=True
+    )
+    gps_delay: float = parameter(
+        0.1, 'delay of the GPS speed behind its stamp', unit='s', minimum=0.0, maximum=1.0
+    )
+    gps_delay_sigma: float = parameter(
+        0.1, 'its uncertainty; 0 trusts gps_delay', unit='s', minimum=0.0, maximum=1.0
+    )
+    delay_noise: float = parameter(1e-4, 'random walk of the delays', unit='s/√s', minimum=0.0)
+    gate: float = parameter(
+        10.83, 'gate of the normalised innovation squared, 1 degree of freedom, 10⁻³', minimum=1.0, live=True
+    )
+    lockout_time: float = parameter(
+        10.0, 'a sensor refused for longer is believed again', unit='s', minimum=0.5, live=True
+    )
+    still_time: float = parameter(
+        0.6, 'no encoder pulse for this long is standstill', unit='s', minimum=0.05, live=True
+    )
+    still_speed: float = parameter(
+        0.5, 'largest estimated speed at which standstill is believed', unit='m/s', minimum=0.0, live=True
+    )
+    still_sigma: float = parameter(
+        0.008, 'noise of the standstill update', unit='m/s', minimum=1e-4, live=True
+    )
+    coast_noise: float = parameter(
+        1.5, 'speed noise density while the accelerometer is silent', unit='m/s/√s', minimum=0.0, live=True
+    )
+    max_gap: float = parameter(
+        0.25, 'age at which an accelerometer reading is void', unit='s', minimum=0.01, live=True
+    )
+    bleed_time: float = parameter(
+        0.02, 'time constant with which corrections reach the output', unit='s', minimum=1e-3, live=True
+    )
+    bleed_step: float = parameter(
+        0.012, 'largest correction let out in 2 ms', unit='m/s', minimum=1e-4, live=True
+    )
+    lag_window: float = parameter(
+        0.5, 'largest delay of arrival that is repaired', unit='s', minimum=0.0, maximum=5.0
+    )

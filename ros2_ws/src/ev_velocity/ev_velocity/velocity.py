@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint filter as a streaming estimator: samples in, prompt and settled estimates out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ev_velocity import velocity_memory as mem
+from ev_velocity.params import VelocityParams
+from ev_velocity.phases import Phase, classify
+from ev_velocity.samples import (
+    AccelerationEstimate,
+    AngleSample,
+    ConstantsEstimate,
+    ForceSample,
+    GearSample,
+    GpsSample,
+    PedalSample,
+    RoadEstimate,
+    SettledSpeed,
+    SlipEstimate,
+    SpeedEstimate,
+    WheelSpeedSample,
+)
+from ev_velocity.velocity_kernels import direction_of, force_step, let_out, predict
+from ev_velocity.velocity_updates import count_step, gps_step, speed_step
+from kalman_core.event_time import EventTimeBuffer
+from kalman_core.health import Tally
+
+SECOND = 1_000_000_000
+# Stamps are kept relative to an origin this far before the first sample: late ones stay positive.
+ORIGIN_MARGIN = 1000 * SECOND
+START_SPEED_SIGMA = 30.0  # m/s: a car on a road
+# What the wheel may turn out to be after it was refused for the lock-out time: another tyre, low pressure.
+REOPENED_SCALE_SIGMA = 0.05
+# Beyond these a sample is a fault of the sensor, not of the road.
+FORCE_LIMIT = 60.0  # m/s²
+SPEED_LIMIT = 150.0  # m/s
+# A receiver that claims less than this (m/s) has not counted its own correlated errors.
+GPS_SIGMA_FLOOR = 0.02
+ROAD_PERIOD = SECOND // 50
+CONSTANTS_PERIOD = SECOND
+PHASE_THRESHOLD = 0.15  # m/s², the paper's e_x
+
+FORCE, GPS, ANGLE, WHEEL_SPEED, PEDALS, GEAR = range(6)
+NAMES = ('accelerometer', 'gps', 'wheel angle', 'wheel speed', 'pedals', 'gear')
+REFUSAL = {GPS: 'gate', ANGLE: 'gate (slip)', WHEEL_SPEED: 'gate (slip)'}
+_LEARNED = (mem.B, mem.K, mem.S, mem.C, mem.TG, mem.TW)
+
+
+def kernel_constants(params: VelocityParams) -> np.ndarray:
+    """Return the array (CONSTANTS,) that the kernels take."""
+    c = np.zeros(mem.CONSTANTS)
+    values = {
+        mem.Q_SPEED: params.accelerometer_noise**2,
+        mem.Q_BIAS: params.bias_noise**2,
+        mem.Q_GRADE: params.grade_noise**2,
+        mem.Q_WHEEL: params.wheel_noise**2,
+        mem.Q_DELAY: params.delay_noise**2,
+        mem.Q_SCALE: params.scale_noise**2,
+        mem.GATE: params.gate,
+        mem.TOOTH: 2.0 * math.pi * params.wheel_radius / params.pulses_per_revolution,
+        mem.WHEEL_VARIANCE: params.wheel_speed_sigma**2,
+        mem.WHEEL_CORRELATION: params.wheel_speed_correlation * SECOND,
+        mem.STILL_VARIANCE: params.still_sigma**2,
+        mem.STILL_TIME: params.still_time * SECOND,
+        mem.STILL_SPEED: params.still_speed,
+        mem.LOCKOUT: params.lockout_time * SECOND,
+        mem.Q_COAST: params.coast_noise**2,
+        mem.BLEED_TIME: params.bleed_time,
+        mem.BLEED_STEP: params.bleed_step,
+        mem.P0_SCALE: max(params.scale_sigma, REOPENED_SCALE_SIGMA) ** 2,
+        mem.P0_SLIP: params.slip_sigma**2,
+        mem.MAX_GAP: params.max_gap,
+        mem.SPEED_DELAY: params.speed_delay,
+        mem.SPEED_DELAY_VARIANCE: params.speed_delay_sigma**2,
+    }
+    for index, value in values.items():
+        c[index] = value
+    return c
+
+
+def start_memory(params: VelocityParams, time: float) -> np.ndarray:
+    """Return the memory (SIZE,) before the first sample, at `time` (ns since the origin)."""
+    x = np.zeros(mem.N)
+    sigma = np.zeros(mem.N)
+    sigma[mem.V] = START_SPEED_SIGMA
+    sigma[mem.B] = params.bias_sigma
+    x[mem.K], sigma[mem.K] = params.pitch_gain, params.pitch_gain_sigma
+    x[mem.S], sigma[mem.S] = params.scale, params.scale_sigma
+    x[mem.C], sigma[mem.C] = params.slip, params.slip_sigma
+    x[mem.TG], sigma[mem.TG] = params.gps_delay, params.gps_delay_sigma
+    x[mem.TW], sigma[mem.TW] = params.wheel_delay, params.wheel_delay_sigma
+    return mem.fresh(x, sigma**2, time)
+
+
+class _Model:
+    """What the event-time buffer rolls back: one flat array and pure kernels on it."""
+
+    def __init__(self, params: VelocityParams, tally: Tally) -> None:
+        self._scratch = np.zeros(mem.N)
+        self._tally = tally
+        self.origin: int | None = None
+        self.configure(params)
+        self.state = start_memory(params, ORIGIN_MARGIN)
+
+    def configure(self, params: VelocityParams) -> None:
+        self.params = params
+        self._constants = kernel_constants(params)
+        self._counts_per_radian = params.pulses_per_revolution / (2.0 * math.pi)
+        self._handlers: tuple[Callable[[Any, int], Any], ...] = (
+            self._force, self._gps, self._angle, self._wheel_speed, self._pedals, self._gear,
+        )  # fmt: skip
+
+    def reset(self) -> None:
+        self.state[:] = start_memory(self.params, ORIGIN_MARGIN)
+        self.origin = None
+
+    def apply(self, port: int, sample: Any) -> Any:
+        if self.origin is None:
+            self.origin = sample.stamp - ORIGIN_MARGIN
+        return self._handlers[port](sample, float(sample.stamp - self.origin))
+
+    def _force(self, sample: ForceSample, t: float) -> list:
+        force_step(self.state, self._constants, sample.force, t)
+        self._tally.accept(NAMES[FORCE], sample.stamp)
+        return self._outputs(sample.stamp, t)
+
+    def _outputs(self, stamp: int, t: float) -> list:
+        m = self.state
+        speed, variance, acceleration, acceleration_variance = m[mem.OUTPUT].tolist()
+        estimates: list = [
+            SpeedEstimate(stamp, speed, variance),
+            AccelerationEstimate(stamp, acceleration, acceleration_variance),
+        ]
+        # Half a millisecond of tolerance: jitter of the accelerometer must not halve the rate.
+        if t - m[mem.ROAD_TIME] >= ROAD_PERIOD - SECOND // 2000:
+            d = mem.P + mem.D * (mem.N + 1)
+            estimates.append(RoadEstimate(stamp, float(m[mem.X + mem.D]), float(m[d]), speed, variance))
+            if t // CONSTANTS_PERIOD != m[mem.ROAD_TIME] // CONSTANTS_PERIOD:
+                estimates.append(self.constants(stamp))
+            m[mem.ROAD_TIME] = t
+        return estimates
+
+    def constants(self, stamp: int) -> ConstantsEstimate:
+        m = self.state
+        diagonal = np.sqrt(np.maximum(m[mem.P : mem.P + mem.N**2 : mem.N + 1], 0.0))
+        return ConstantsEstimate(
+            stamp,
+            tuple(float(m[mem.X + i]) for i in _LEARNED),
+            tuple(float(diagonal[i]) for i in _LEARNED),
+        )
+
+    def _gps(self, sample: GpsSample, t: float) -> Any:
+        sigma = self.params.gps_sigma
+        variance = max(sample.variance, GPS_SIGMA_FLOOR**2) if sample.variance > 0.0 else sigma * sigma
+        done = gps_step(self.state, self._constants, sample.speed, variance, t, self._scratch)
+        self._book(GPS, sample.stamp, done)
+        return self._silent(sample.stamp, t)
+
+    def _angle(self, sample: AngleSample, t: float) -> Any:
+        count = sample.angle * self._counts_per_radian
+        done = count_step(self.state, self._constants, count, t, self._scratch)
+        self._book(ANGLE, sample.stamp, done)
+        return [self._slip(sample.stamp, done), *self._silent(sample.stamp, t)]
+
+    def _wheel_speed(self, sample: WheelSpeedSample, t: float) -> Any:
+        done = speed_step(self.state, self._constants, sample.speed, t, self._scratch)
+        self._book(WHEEL_SPEED, sample.stamp, done)
+        return [self._slip(sample.stamp, done), *self._silent(sample.stamp, t)]
+
+    def _pedals(self, sample: PedalSample, t: float) -> None:
+        self.state[mem.ACCELERATOR] = sample.accelerator
+        self.state[mem.BRAKE] = sample.brake
+        self._tally.accept(NAMES[PEDALS], sample.stamp)
+
+    def _gear(self, sample: GearSample, t: float) -> None:
+        # The distance rolled before the change belongs to the sense before it.
+        predict(self.state, self._constants, t)
+        self.state[mem.DIRECTION] = sample.direction
+        self._tally.accept(NAMES[GEAR], sample.stamp)
+
+    def _slip(self, stamp: int, done: int) -> SlipEstimate:
+        m = self.state
+        direction = direction_of(m)
+        phase = classify(
+            m[mem.ACCELERATOR], m[mem.BRAKE], m[mem.OUT_ACCELERATION], direction, PHASE_THRESHOLD
+        )
+        return SlipEstimate(stamp, float(m[mem.SLIP]), Phase(phase), done == mem.REFUSED)
+
+    def _silent(self, stamp: int, t: float) -> list:
+        """Give the speed at another sensor's sample while the accelerometer is silent."""
+        m = self.state
+        if (t - m[mem.FORCE_TIME]) * 1e-9 <= self.params.max_gap:
+            return []
+        let_out(m, self._constants, self.params.bleed_time)
+        return self._outputs(stamp, t)
+
+    def _book(self, port: int, stamp: int, done: int) -> None:
+        name = NAMES[port]
+        tally = self._tally
+        if done == mem.REFUSED:
+            tally.reject(name, REFUSAL[port])
+            return
+        if done == mem.REOPENED and not tally.muted:
+            what = 'speed anchored anew' if port == GPS else 'scale learned anew'
+            tally.restart(f'{name} refused for too long: {what}')
+        tally.accept(name, stamp, float(self.state[mem.NIS]), self.params.gate)
+
+
+class VelocityEstimator:
+    """Longitudinal speed of a car from accelerometer, wheels, GPS speed, pedals and gear.
+
+    Handlers return None or a list of estimates. Samples may come in any order within `lag_window`.
+    """
+
+    def __init__(self, params: VelocityParams | None = None) -> None:
+        params = params or VelocityParams()
+        self.tally = Tally()
+        self._model = _Model(params, self.tally)
+        self._buffer = EventTimeBuffer(self._model, NAMES, self.tally, window=int(params.lag_window * SECOND))
+
+    @property
+    def state(self) -> np.ndarray:
+        """Everything that changes while filtering (SIZE,); the layout is in `velocity_memory`."""
+        return self._model.state
+
+    @property
+    def params(self) -> VelocityParams:
+        """The parameters in force."""
+        return self._model.params
+
+    def configure(self, params: VelocityParams) -> None:
+        """Take new live parameters without a restart; start values keep their effect for the next reset."""
+        self._model.configure(params)
+
+    def reset(self) -> None:
+        """Return to the initial state."""
+        self._buffer.reset()
+
+    def learned(self) -> VelocityParams:
+        """Return the parameters with the wheel scale and slip as learned: what is saved for the next drive."""
+        constants = self._model.constants(0)
+        values = dict(zip(('bias', 'pitch', 'scale', 'slip'), constants.values, strict=False))
+        sigmas = dict(zip(('bias', 'pitch', 'scale', 'slip'), constants.sigmas, strict=False))
+        return replace(
+            self.params,
+            scale=values['scale'],
+            scale_sigma=max(sigmas['scale'], 1e-5),
+            slip=min(max(values['slip'], 0.0), 0.05),
+            slip_sigma=sigmas['slip'],
+        )
+
+    def on_force(self, sample: ForceSample) -> list | None:
+        """Take the accelerometer: the fast sensor, at whose stamps the estimate goes out."""
+        if not abs(sample.force) < FORCE_LIMIT:
+            self.tally.reject(NAMES[FORCE], 'not finite or beyond 60 m/s²')
+            return None
+        return self._feed(FORCE, sample)
+
+    def on_gps(self, sample: GpsSample) -> list | None:
+        """Take a GPS speed."""
+        if not 0.0 <= sample.speed < SPEED_LIMIT or not sample.variance < math.inf:
+            self.tally.reject(NAMES[GPS], 'speed or variance out of range')
+            return None
+        return self._feed(GPS, sample)
+
+    def on_angle(self, sample: AngleSample) -> list | None:
+        """Take a cumulative encoder angle."""
+        if not abs(sample.angle) < 1e12:
+            self.tally.reject(NAMES[ANGLE], 'not finite')
+            return None
+        return self._feed(ANGLE, sample)
+
+    def on_wheel_speed(self, sample: WheelSpeedSample) -> list | None:
+        """Take a speed signal of the wheels; its magnitude counts."""
+        if not abs(sample.speed) < SPEED_LIMIT:
+            self.tally.reject(NAMES[WHEEL_SPEED], 'not finite or out of range')
+            return None
+        return self._feed(WHEEL_SPEED, sample._replace(speed=abs(sample.speed)))
+
+    def on_pedals(self, sample: PedalSample) -> list | None:
+        """Take the pedals, which name the driving phase."""
+        if not (0.0 <= sample.accelerator <= 1.0 and 0.0 <= sample.brake <= 1.0):
+            self.tally.reject(NAMES[PEDALS], 'outside 0…1')
+            return None
+        return self._feed(PEDALS, sample)
+
+    def on_gear(self, sample: GearSample) -> list | None:
+        """Take the sense of travel that the gear selects."""
+        return self._feed(GEAR, sample)
+
+    def _feed(self, port: int, sample: Any) -> list | None:
+        prompt, settled = self._buffer.feed(port, sample)
+        if not settled:
+            return prompt
+        out = list(prompt) if prompt else []
+        for estimates in settled:
+            out.extend(SettledSpeed(*e) for e in estimates if type(e) is SpeedEstimate)
+        return out

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint filter's memory: one flat array that holds everything that changes while filtering.
+
+Scalars first, then the state x (N,), the covariance P (N·N,), and a ring of (time, integrated reading).
+State::
+
+    V      speed, m/s                      S      wheel scale error: the wheel reads (1 + s + c·a)·v
+    B      accelerometer bias + g·sin(grade), m/s²   C  longitudinal slip per acceleration, s²/m
+    K      accelerometer gain error (pitch under acceleration)
+    TG     delay of the GPS speed, s       TW     delay of the wheel signal, s
+    W      distance rolled by the wheel, m D      distance driven, m
+    PW     W as it was at the last wheel sample, m
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+N = 10
+V, B, K, S, C, TG, TW, W, D, PW = range(N)
+
+# Times are ns since the estimator's origin, exact in a double. "Since" times are −1 when nothing runs.
+(
+    TIME,  # of x and P
+    FORCE,  # last specific force, m/s²
+    FORCE_TIME,
+    INTEGRAL,  # U = ∫f dt, m/s
+    BLEED,  # correction not yet let out, m/s
+    DIRECTION,  # of the gear: 1, −1, or 0 when unknown
+    ACCELERATOR,  # pedals, 0…1
+    BRAKE,
+    COUNT,  # last encoder count
+    COUNT_TIME,
+    MOVED_TIME,  # when a wheel sensor last said that the car moves
+    PENDING,  # 1 while a count waits for the next to confirm it
+    PENDING_COUNT,
+    PENDING_SPEED,
+    SPEED_TIME,  # last sample of a wheel speed signal
+    WHEEL_TIME,  # last sample of any wheel sensor
+    WHEEL_ACCEPTED,  # last one used
+    WHEEL_SPEED,  # m/s, scale corrected
+    WHEEL_RESIDUAL,  # m/s
+    WHEEL_REFUSED_SINCE,
+    GPS_REFUSED_SINCE,
+    GPS_ACCEPTED,  # last one used
+    NIS,  # of the last update
+    SURPRISE,  # running mean of the normalised innovation squared
+    SLIP,  # slip ratio of the last wheel sample
+    ROAD_TIME,  # last odometry output
+    OUT_SPEED,
+    OUT_SPEED_VARIANCE,
+    OUT_ACCELERATION,
+    OUT_ACCELERATION_VARIANCE,
+    RING_HEAD,
+) = range(31)
+X = 31
+P = X + N
+RING = P + N * N
+SLOTS = 128  # ring entries: 1.3 s at the ring's step of 10 ms, which holds every delay allowed
+SIZE = RING + 2 * SLOTS
+OUTPUT = slice(OUT_SPEED, OUT_ACCELERATION_VARIANCE + 1)
+
+# What is fixed while filtering.
+(
+    Q_SPEED, Q_BIAS, Q_GRADE, Q_WHEEL, Q_DELAY, Q_SCALE,
+    GATE, TOOTH, WHEEL_VARIANCE, WHEEL_CORRELATION, STILL_VARIANCE,
+    STILL_TIME, STILL_SPEED, LOCKOUT, Q_COAST, BLEED_TIME, BLEED_STEP,
+    P0_SCALE, P0_SLIP, MAX_GAP, SPEED_DELAY, SPEED_DELAY_VARIANCE,
+) = range(22)  # fmt: skip
+CONSTANTS = 22
+
+# What an update did.
+USED, REFUSED, REOPENED, SKIPPED, STARTED = range(5)
+
+
+def fresh(x: np.ndarray, variances: np.ndarray, time: float) -> np.ndarray:
+    """Return a memory (SIZE,) that starts at `time` (ns) from state `x` (N,) and `variances` (N,)."""
+    m = np.zeros(SIZE)
+    m[[TIME, FORCE_TIME, ROAD_TIME]] = time
+    m[[COUNT_TIME, SPEED_TIME, WHEEL_TIME, WHEEL_ACCEPTED, GPS_ACCEPTED]] = -1.0
+    m[[WHEEL_REFUSED_SINCE, GPS_REFUSED_SINCE]] = -1.0
+    m[SURPRISE] = 1.0
+    m[X : X + N] = x
+    m[P : P + N * N] = np.diag(variances).ravel()
+    m[RING:] = -1.0
+    return m

@@ -144,8 +144,8 @@ def ecef_from_enu(enu, latitude, longitude, height):
 def gravity(latitude, height):
     """Return normal gravity [m/s²] (down along the ellipsoid's normal) at latitude (rad) and height (m).
 
-    Somigliana's closed form on the ellipsoid, second-order expansion in height: within 2e-7 m/s² below
-    10 km and 1e-4 m/s² at 100 km of the exact field of the level ellipsoid.
+    Somigliana's closed form on the ellipsoid, second-order expansion in height: within 1e-6 m/s² up to 10 km
+    and 2e-4 m/s² at 100 km of the exact field of the level ellipsoid.
     """
     sine2 = math.sin(latitude) ** 2
     surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sine2) / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sine2)

@@ -39,12 +39,12 @@ def chi2_tail(value: float, dof: int) -> float:
 def chi2_gate(dof: int, probability: float = DEFAULT_PROBABILITY) -> float:
     """Return the limit that a chi-square variable with `dof` exceeds with `probability`.
 
-    Raises ValueError unless dof is 1 … 200 and probability within 1e-300 … 1 (exclusive).
+    Raises ValueError unless dof is 1 … 200 and probability within 1e-30 … 1 (exclusive).
     """
     if not 1 <= dof <= 200:
         raise ValueError(f'dof is {dof}, allowed: 1 … 200')
-    if not 1e-300 <= probability < 1.0:
-        raise ValueError(f'probability is {probability}, allowed: 1e-300 … 1')
+    if not 1e-30 <= probability < 1.0:
+        raise ValueError(f'probability is {probability}, allowed: 1e-30 … 1')
     low, high = 0.0, float(dof)
     while chi2_tail(high, dof) > probability:
         low, high = high, 2.0 * high

@@ -14,8 +14,8 @@ from bag_tools.import_data import import_data
 from workspace_harness.make_bags import PACKAGES
 from workspace_harness.replay import Estimator
 
-# Live, a recording of minutes at 285 Hz takes minutes: the graph gets its beginning; the offline runner, which
-# the table shows to be equal to the last bit, gets the whole.
+# Live, a recording of minutes takes minutes: the graph gets its beginning; the offline runner, equal to the
+# last bit as the table shows, gets the whole.
 LIVE_SECONDS = 20.0
 
 

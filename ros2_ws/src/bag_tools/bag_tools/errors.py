@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import fftconvolve
 
 from bag_tools.series import Array, Series, without_repeats
 
@@ -133,6 +134,26 @@ def _signal(values: Array, kind: str) -> Array:
     )  # fmt: skip
 
 
+def _correlations(a: Array, b: Array, span: int) -> Array:
+    """Return the normalised correlation of a[i + s] with b[i], s = -span … span, over what overlaps."""
+    n = len(a)
+    shifts = np.arange(-span, span + 1)
+    overlap = n - np.abs(shifts)
+    first_a, first_b = np.maximum(shifts, 0), np.maximum(-shifts, 0)
+    total = np.zeros(len(shifts))
+    power_a, power_b = np.zeros(len(shifts)), np.zeros(len(shifts))
+    for x, y in zip(a.T, b.T):
+        sums = [np.concatenate(([0.0], np.cumsum(v))) for v in (x, x * x, y, y * y)]
+        mean_x, square_x = (s[first_a + overlap] - s[first_a] for s in sums[:2])
+        mean_y, square_y = (s[first_b + overlap] - s[first_b] for s in sums[2:])
+        cross = fftconvolve(x, y[::-1])[n - 1 + shifts]
+        total += cross - mean_x * mean_y / overlap
+        power_a += square_x - mean_x**2 / overlap
+        power_b += square_y - mean_y**2 / overlap
+    norm = np.sqrt(np.maximum(power_a * power_b, 0.0))
+    return np.divide(total, norm, out=np.full(len(shifts), -1.0), where=norm > 0.0)
+
+
 def delay(estimate: Array, truth: Array, step: float, kind: str = 'vector') -> float | None:
     """Return by how many seconds the estimate lags behind the truth, None where nothing moves.
 
@@ -146,13 +167,7 @@ def delay(estimate: Array, truth: Array, step: float, kind: str = 'vector') -> f
     if span < 1 or not spread > _STILL * max(1.0, float(np.max(np.abs(b)))):
         return None
 
-    def correlation(shift: int) -> float:
-        p, q = (a[shift:], b[: n - shift]) if shift >= 0 else (a[: n + shift], b[-shift:])
-        p, q = p - p.mean(axis=0), q - q.mean(axis=0)
-        norm = np.sqrt(np.sum(p * p) * np.sum(q * q))
-        return float(np.sum(p * q) / norm) if norm > 0.0 else -1.0
-
-    scores = np.array([correlation(s) for s in range(-span, span + 1)])
+    scores = _correlations(a - a.mean(axis=0), b - b.mean(axis=0), span)
     best = int(np.argmax(scores))
     if best in (0, len(scores) - 1):
         return None

@@ -3,72 +3,41 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from imu_kalman import attitude_kernel as kernel
+from imu_kalman import attitude_layout as layout
+from imu_kalman.attitude_kernel import attitude_cov, carried, inertial_step, magnetic_step
 from imu_kalman.params import AttitudeParams
 from imu_kalman.samples import VALUES, Attitude, GyroBias, ImuSample, MagSample, SettledAttitude
 from kalman_core.event_time import NANOSECONDS, EventTimeBuffer
 from kalman_core.health import Tally
 
 _IMU, _MAG = 'imu/data_raw', 'imu/mag'
-_SCRATCH = (3, kernel.N, kernel.N)
-
-
-def pack(p: AttitudeParams) -> np.ndarray:
-    """Return the parameter vector of the kernels (PARAMS,)."""
-    omega = 2.0 * math.pi * p.motion_frequency
-    out = np.zeros(kernel.PARAMS)
-    out[kernel.BLOCK] = p.block
-    out[kernel.GYRO_PSD] = p.gyro_noise**2
-    out[kernel.SCALE_PSD] = p.rate_noise**2
-    out[kernel.BIAS_PSD] = p.bias_walk**2
-    out[kernel.BIAS_VAR] = p.bias_sigma**2
-    out[kernel.ACC_PSD] = p.accel_noise**2
-    out[kernel.TILT_VAR] = p.tilt_sigma**2
-    out[kernel.C_VEL] = 2.0 * p.motion_damping * omega
-    out[kernel.C_POS] = omega**2
-    out[kernel.LEVEL_MIN] = p.motion_noise**2
-    out[kernel.LEVEL_DECAY] = p.motion_memory
-    out[kernel.REST_RATE] = p.rest_rate
-    out[kernel.REST_FORCE] = p.rest_force
-    out[kernel.REST_SPAN] = p.rest_time
-    out[kernel.REST_PSD] = p.rest_noise**2
-    out[kernel.MAG_PSD] = p.mag_noise**2
-    out[kernel.NORM_GATE] = p.mag_norm_gate
-    out[kernel.DIP_GATE] = p.mag_dip_gate
-    out[kernel.MAG_MEMORY] = p.mag_memory
-    out[kernel.MAG_RECOVERY] = p.mag_recovery
-    out[kernel.MAX_GAP] = p.max_gap
-    out[kernel.MIN_FORCE] = p.min_force
-    out[kernel.USE_MAG] = float(p.use_magnetometer)
-    return out
+_SCRATCH = (layout.WORK, layout.N, layout.N)
 
 
 @njit(cache=True, nogil=True)
 def stream_step(state, par, work, out, sec, nanosec, gx, gy, gz, ax, ay, az):
     """`inertial_step`, then the estimate into `out` (VALUES,). Returns the code of the step."""
-    code = kernel.inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az)
-    dt = max(state[kernel.LAST_DT], 1e-3)
-    for i in range(4):
-        out[i] = state[kernel.Q + i]
-    out[4] = gx - state[kernel.BIAS]
-    out[5] = gy - state[kernel.BIAS + 1]
-    out[6] = gz - state[kernel.BIAS + 2]
+    code = inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az)
+    dt = max(state[layout.LAST_DT], 1e-3)
+    carried(state, par, out)
+    out[4] = gx - state[layout.BIAS]
+    out[5] = gy - state[layout.BIAS + 1]
+    out[6] = gz - state[layout.BIAS + 2]
     out[7] = ax
     out[8] = ay
     out[9] = az
     for i in range(3):
         for j in range(3):
             k = 3 * i + j
-            out[10 + k] = state[kernel.COV + kernel.N * i + j]
-            out[19 + k] = state[kernel.COV + kernel.N * (3 + i) + 3 + j]
-        out[19 + 4 * i] += par[kernel.GYRO_PSD] / dt
-        out[28 + 4 * i] = par[kernel.ACC_PSD] / dt
+            out[10 + k] = attitude_cov(state, par, i, j)
+            out[19 + k] = state[layout.COV + layout.N * (3 + i) + 3 + j]
+        out[19 + 4 * i] += par[layout.GYRO_PSD] / dt
+        out[28 + 4 * i] = par[layout.ACC_PSD] / dt
     return code
 
 
@@ -78,8 +47,8 @@ class AttitudeFilter:
     def __init__(self, params: AttitudeParams | None = None) -> None:
         self.params = p = params if params is not None else AttitudeParams()
         self.tally = Tally()
-        self.state = np.zeros(kernel.STATE)
-        self._par = pack(p)
+        self.state = np.zeros(layout.STATE)
+        self._par = layout.pack(p)
         self._work = np.zeros(_SCRATCH)
         self._out = np.zeros(VALUES)
         self._buffer = EventTimeBuffer(self, (_IMU, _MAG), self.tally, int(p.lag_window * NANOSECONDS))
@@ -90,9 +59,9 @@ class AttitudeFilter:
 
     def warm_up(self) -> None:
         """Compile the kernels, so that the first sample is not late."""
-        state = np.zeros(kernel.STATE)
+        state = np.zeros(layout.STATE)
         stream_step(state, self._par, self._work, self._out, 0.0, 0.0, *([0.0] * 6))
-        kernel.magnetic_step(state, self._par, 0.0, 0.0, 0.0, 0.0, 0.0)
+        magnetic_step(state, self._par, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def reset(self) -> None:
         """Return to the initial state and forget buffered samples."""
@@ -146,33 +115,33 @@ class AttitudeFilter:
         sec, nanosec = divmod(sample.stamp, NANOSECONDS)
         state = self.state
         if port == 1:
-            kernel.magnetic_step(state, self._par, float(sec), float(nanosec), *sample.field)
-            if state[kernel.MAG_STATUS] == kernel.MAG_DISTURBED:
+            magnetic_step(state, self._par, float(sec), float(nanosec), *sample.field)
+            if state[layout.MAG_STATUS] == layout.MAG_DISTURBED:
                 self.tally.reject(_MAG, 'disturbed field')
             else:
-                self.tally.accept(_MAG, sample.stamp, float(state[kernel.MAG_NIS]))
+                self.tally.accept(_MAG, sample.stamp, float(state[layout.MAG_NIS]))
             return None
         code = stream_step(
             state, self._par, self._work, self._out, float(sec), float(nanosec), *sample.gyr, *sample.acc
         )
         tally = self.tally
-        if code == kernel.OK:
-            tally.accept(_IMU, sample.stamp, float(state[kernel.MOTION_NIS]))
+        if code == layout.OK:
+            tally.accept(_IMU, sample.stamp, float(state[layout.MOTION_NIS]))
             return Attitude(sample.stamp, sample.frame, self._out.copy())
-        if code == kernel.WAITING:
+        if code == layout.WAITING:
             tally.reject(_IMU, 'no direction to start from')
             return None
-        if code == kernel.FAILED:
+        if code == layout.FAILED:
             tally.reject(_IMU, 'numerics failed')
             return None
         tally.accept(_IMU, sample.stamp)
-        if code == kernel.RESTARTED and not tally.muted:
+        if code == layout.RESTARTED and not tally.muted:
             tally.restart('attitude from one sample after a gap')
         return Attitude(sample.stamp, sample.frame, self._out.copy())
 
     def gyro_bias(self, sample: ImuSample) -> GyroBias:
         """Return the present bias estimate with its covariance."""
         state = self.state
-        cov = state[kernel.COV :].reshape(kernel.N, kernel.N)[3:6, 3:6].copy()
-        bias = state[kernel.BIAS : kernel.BIAS + 3].tolist()
+        cov = state[layout.COV :].reshape(layout.N, layout.N)[3:6, 3:6].copy()
+        bias = state[layout.BIAS : layout.BIAS + 3].tolist()
         return GyroBias(sample.stamp, sample.frame, tuple(bias), cov)

@@ -86,14 +86,14 @@ class AttitudeParams:
         8.7e-4, 'attitude process noise at rest', unit='rad/s/sqrt(Hz)', minimum=1e-6, maximum=1.0
     )
     rate_noise: float = parameter(
-        0.01,
-        'attitude process noise per angular velocity (scale factor, alignment, timing)',
-        unit='rad/sqrt(rad*rad/s)',
+        3e-3,
+        'attitude process noise per root of turned angle and rate: scale, alignment, rectified vibration',
+        unit='sqrt(s)',
         minimum=0.0,
         maximum=1.0,
     )
     bias_walk: float = parameter(
-        5.2e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0, maximum=0.1
+        7e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0, maximum=0.1
     )
     bias_sigma: float = parameter(
         0.0175, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=1e-6, maximum=1.0
@@ -106,18 +106,27 @@ class AttitudeParams:
     )
     motion_frequency: float = parameter(
         0.1,
-        'below this frequency linear acceleration vanishes (motion is bounded)',
+        'least frequency below which linear acceleration vanishes, since the motion stays in place',
         unit='Hz',
         minimum=1e-3,
         maximum=10.0,
     )
+    motion_frequency_max: float = parameter(
+        0.5, 'largest such frequency', unit='Hz', minimum=1e-3, maximum=10.0
+    )
+    motion_share: float = parameter(
+        0.25, 'that frequency as a share of the measured frequency of the motion', minimum=0.0, maximum=1.0
+    )
     motion_damping: float = parameter(0.7, 'damping of the motion model', minimum=0.05, maximum=5.0)
     motion_noise: float = parameter(
         0.3,
-        'least linear acceleration expected above motion_frequency',
+        'least density of linear acceleration above that frequency',
         unit='m/s^2/sqrt(Hz)',
         minimum=1e-3,
         maximum=100.0,
+    )
+    motion_span: float = parameter(
+        0.5, 'time over which linear acceleration is correlated', unit='s', minimum=0.0, maximum=100.0
     )
     motion_memory: float = parameter(
         2.0,
@@ -128,14 +137,14 @@ class AttitudeParams:
     )
     rest_rate: float = parameter(
         5.2e-3,
-        'at rest block means of the rate stay this close together',
+        'at rest block means of the rate stay this close to their mean',
         unit='rad/s',
         minimum=1e-5,
         maximum=1.0,
     )
     rest_force: float = parameter(
         0.1,
-        'at rest block means of the specific force stay this close together',
+        'at rest block means of the specific force stay this close to their mean',
         unit='m/s^2',
         minimum=1e-3,
         maximum=10.0,
@@ -151,15 +160,25 @@ class AttitudeParams:
         maximum=1.0,
     )
     mag_noise: float = parameter(
-        0.0873, 'noise of the magnetic heading', unit='rad/sqrt(Hz)', minimum=1e-5, maximum=10.0
+        0.026, 'least noise of the magnetic heading', unit='rad/sqrt(Hz)', minimum=1e-5, maximum=10.0
+    )
+    mag_span: float = parameter(
+        3.0, 'time over which a disturbance of the field is correlated', unit='s', minimum=0.0, maximum=1e3
+    )
+    mag_memory: float = parameter(
+        0.5,
+        'time constant with which the measured level of disturbance decays',
+        unit='s',
+        minimum=0.05,
+        maximum=100.0,
     )
     mag_norm_gate: float = parameter(
         0.1, 'relative deviation of the field strength that is rejected beyond', minimum=0.001, maximum=1.0
     )
     mag_dip_gate: float = parameter(
-        0.1745, 'deviation of the dip that is rejected beyond', unit='rad', minimum=0.001, maximum=3.2
+        0.175, 'deviation of the dip that is rejected beyond', unit='rad', minimum=0.001, maximum=3.2
     )
-    mag_memory: float = parameter(
+    mag_reference: float = parameter(
         20.0,
         'time constant with which strength and dip of the accepted field are followed',
         unit='s',
@@ -172,6 +191,26 @@ class AttitudeParams:
         unit='s',
         minimum=0.1,
         maximum=1e4,
+    )
+    sensor_delay: float = parameter(
+        2.4e-3,
+        'group delay of gyro and accelerometer; attitude is carried forward by rate times delay',
+        unit='s',
+        minimum=0.0,
+        maximum=0.05,
+    )
+    mag_delay: float = parameter(
+        7e-3, 'delay of the magnetometer behind the gyro', unit='s', minimum=0.0, maximum=0.05
+    )
+    delay_sigma: float = parameter(
+        1e-3, 'uncertainty of sensor_delay, one sigma', unit='s', minimum=0.0, maximum=0.05
+    )
+    heading_sigma: float = parameter(
+        0.0175,
+        'lasting error of magnetic heading (calibration, declination) added to its variance',
+        unit='rad',
+        minimum=0.0,
+        maximum=1.0,
     )
     max_rate: float = parameter(
         100.0, 'larger angular velocity is rejected', unit='rad/s', minimum=1.0, maximum=1e4

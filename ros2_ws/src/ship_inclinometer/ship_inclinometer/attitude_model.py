@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from ship_inclinometer import attitude_kernels as k
+from ship_inclinometer import attitude_layout as k
 from ship_inclinometer.params import AttitudeParams
 
 _MG = 1e-3 * k.GRAVITY

@@ -198,7 +198,7 @@ def line(row: Row, seconds: float) -> str:
     bar = '' if row.bar is None else f'{sign} {row.bar:g}'
     mark = '' if row.bar is None and row.passed else ('met' if row.passed else 'MISSED')
     peers = '  '.join(f'{peer} {value:.4g}' for peer, value in row.reference.items())
-    text = f'{row.name:<58} {row.value:>11.4g} {row.unit:<9} {bar:>10}  {mark:<6} {seconds:7.1f} s  {peers}'
+    text = f'{row.name:<68} {row.value:>11.4g} {row.unit:<9} {bar:>10}  {mark:<6} {seconds:7.1f} s  {peers}'
     return text.rstrip()
 
 

@@ -15,7 +15,7 @@ from helper import VALUE
 from bag_tools.bench import Row
 
 def measure(options):
-    yield Row('{package}', 'error', VALUE * (options.seeds or 3), 'deg', 2.0, reference={{'peer': 7.123456789}})
+    yield Row('{package}', 'error', VALUE * (options.seeds or 3), 'deg', 2.0, reference={{'peer': 7.1234567}})
     yield Row('{package}', 'ratio', 30.0, '×', bar=20.0, better='higher', seeds=options.seeds)
     {more}
 """

@@ -161,6 +161,26 @@ def _locate(path: Path) -> Path:
     return path
 
 
+def _check_complete(path: Path) -> None:
+    """Raise BagError for an SQLite file shorter than its header says: SQLite itself reads zeros there.
+
+    Source: SQLite database file format, section 1.3: page size at 16, change counter at 24, page count at
+    28, and at 92 the change counter for which that count is valid.
+    """
+    for file in sorted(path.glob('*.db3')) if path.is_dir() else [path]:
+        if file.suffix != '.db3':
+            continue
+        with file.open('rb') as opened:
+            head = opened.read(100)
+        if len(head) < 100 or not head.startswith(b'SQLite format 3\0'):
+            raise BagError(f'{path}: not an SQLite file; {EXPECTED}')
+        size = int.from_bytes(head[16:18], 'big')
+        size = 65536 if size == 1 else size
+        pages = int.from_bytes(head[28:32], 'big')
+        if head[24:28] == head[92:96] and file.stat().st_size < pages * size:
+            raise BagError(f'{path}: truncated: {file.stat().st_size} of {pages * size} bytes; {EXPECTED}')
+
+
 class BagReader:
     """An open bag (mcap or sqlite3, compressed or not). A context manager.
 
@@ -170,6 +190,7 @@ class BagReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         located = _locate(self.path)
+        _check_complete(located)
         try:
             self._reader = Reader(located)
             self._reader.open()

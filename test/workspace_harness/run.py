@@ -20,6 +20,7 @@ from bag_tools.score import Comparison, Subject, read_window, score
 from workspace_harness.domain import own_domain
 from workspace_harness.make_bags import root
 from workspace_harness.replay import ReplayError, cut, differences, live, offline_all
+from workspace_harness.report import write
 from workspace_harness.systems import Job, choose, fixtures, recordings, space
 
 
@@ -127,8 +128,6 @@ def main() -> int:
         print(f'./ws run: nothing to show; {failed} replays failed', file=sys.stderr)
         return 1
     print(f'\n{table(results)}\n')
-    from workspace_harness.report import write
-
     print(f'report: {write(results, out)}')
     return 1 if failed else 0
 

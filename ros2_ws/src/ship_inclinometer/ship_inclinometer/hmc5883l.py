@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HMC5883L driver without ROS: triggered measurements, self-test, growing range, patience after bus faults.
+
+The chip measures only when asked (single-measurement mode). In continuous mode its ready bit stays set, so
+that a new measurement cannot be told from an old one without the interrupt line; asked for, each measurement
+is new and its time is known.
+
+Source: Honeywell, "HMC5883L 3-Axis Digital Compass IC", revision E (2013).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from imu_kalman.i2c import I2cBus, I2cDevice, Link, WrongChipError, driven, explain
+from kalman_core.rotation import matrix_from_quat, quat_from_euler
+from ship_inclinometer.hmc5883l_params import AVERAGES, GAINS, RANGES, Hmc5883lParams
+
+ADDRESS = 0x1E
+CONFIG_A = 0x00
+CONFIG_B = 0x01
+MODE = 0x02
+DATA = 0x03
+STATUS = 0x09
+IDENTIFICATION = 0x0A
+IDENTITY = b'H43'
+MODE_SINGLE = 0x01
+STATUS_READY = 0x01
+STATUS_LOCK = 0x02
+POSITIVE_BIAS = 0x01
+OVERFLOW = -4096
+MEASUREMENT_TIME = 6e-3  # s
+TESLA_PER_GAUSS = 1e-4
+
+_SECOND = 1_000_000_000
+# 160 measurements a second are promised: after this time (s) one is done.
+_WAIT = 6.5e-3
+_SELF_TEST_GAIN = 5
+# Limits of the self-test at that gain (counts); the coil makes about 1.16, 1.16 and 1.08 gauss.
+_SELF_TEST_LIMITS = (243, 575)
+_SELF_TEST_AVERAGES = 3  # bits of CONFIG_A for eight
+_CHECK_PERIOD = 1.0  # s
+_SILENCE = 0.5  # s
+# Noise of two counts makes equal triples rare: so many in a row mean a hung chip.
+_FROZEN_SAMPLES = 50
+_MAX_RANGE = len(RANGES) - 1
+_IDENTITY_READS = 3
+
+
+class SelfTestError(Exception):
+    """The built-in coil is not measured as it should be: the chip is broken."""
+
+
+class MagReading(NamedTuple):
+    """One measurement: stamp (ns) of its middle and field (3,) in the body frame (T)."""
+
+    stamp: int
+    field: np.ndarray
+
+
+class Hmc5883lDriver:
+    """Reads an HMC5883L for as long as it lives; `poll` is called `rate` times a second and never blocks.
+
+    `clock` dates the samples (ns), `steady` measures waiting (ns); both may be the same function.
+    """
+
+    def __init__(
+        self,
+        params: Hmc5883lParams,
+        open_bus: Callable[[], I2cBus],
+        clock: Callable[[], int],
+        steady: Callable[[], int] | None = None,
+    ) -> None:
+        self._params = params
+        self._clock = clock
+        self._steady = steady or clock
+        self.link = Link(
+            open_bus, ADDRESS, first_delay=params.first_delay, longest_delay=params.longest_delay
+        )
+        self._rotation = matrix_from_quat(quat_from_euler(*params.mounting))
+        self._gain = RANGES.index(params.range)
+        self._identified = False
+        self._tested = not params.self_test
+        self.self_test_counts: tuple[int, int, int] | None = None
+        self._step: Callable[[I2cDevice, int], list[MagReading]] = self._identify
+        self._not_before: int | None = None
+        self._triggered = 0
+        self._discard = 0
+        self._last_data = 0
+        self._next_check = 0
+        self._previous = b''
+        self._equal = 0
+        self.readings = 0
+        self.overflows = 0
+
+    @property
+    def running(self) -> bool:
+        """True while measurements come."""
+        return self._step == self._run
+
+    @property
+    def variance(self) -> float:
+        """Variance per axis of a reading (T²): noise of the averaged readings, and rounding."""
+        step = TESLA_PER_GAUSS / GAINS[self._gain]
+        return self._params.noise**2 / self._params.averages + step**2 / 12.0
+
+    def poll(self) -> list[MagReading]:
+        """Do what is due; return the new reading, if there is one.
+
+        Raise WrongChipError or SelfTestError when, at the first contact, the chip is not what it should be.
+        """
+        now = self._steady()
+        if self._not_before is not None and now < self._not_before:
+            return []
+        self._not_before = None
+        try:
+            device = self.link.device(now)
+            return [] if device is None else self._step(device, now)
+        except OSError as error:
+            self.link.failed(self._steady(), explain(error))
+            self._step = self._identify
+            return []
+
+    def close(self) -> None:
+        """Release the bus."""
+        self.link.close()
+
+    def diagnostics(self) -> dict[str, Any]:
+        """Return what /diagnostics says; 'level' is 0 (ok), 1 (warning) or 2 (error)."""
+        link = self.link
+        if self.running:
+            level, message = 0, 'ok'
+        elif link.last_fault:
+            level, message = 2, f'no samples: {link.last_fault}'
+        else:
+            level, message = 1, 'starting'
+        values: dict[str, Any] = {
+            'level': level,
+            'message': message,
+            'readings': self.readings,
+            'range_gauss': RANGES[self._gain],
+            'overflows': self.overflows,
+            'self_test_counts': self.self_test_counts or 'not done',
+            'repeated_transfers': link.retried,
+            'reconnects': link.reconnects,
+        }
+        return values | {f'fault: {reason}': count for reason, count in sorted(link.faults.items())}
+
+    def _identify(self, device: I2cDevice, now: int) -> list[MagReading]:
+        identity = device.read(IDENTIFICATION, 3)
+        if identity != IDENTITY:
+            repeated = all(device.read(IDENTIFICATION, 3) == identity for _ in range(_IDENTITY_READS - 1))
+            text = f'identification is {identity.hex(" ")}, expected {IDENTITY.hex(" ")} (HMC5883L)'
+            answered = identity not in (b'\x00\x00\x00', b'\xff\xff\xff')
+            if repeated and answered and not self._identified:
+                raise WrongChipError(f'at address 0x{ADDRESS:02x} {text}')
+            raise OSError(text)
+        self._identified = True
+        if self._tested:
+            self._set_up(device, now)
+        else:
+            device.write(CONFIG_A, _SELF_TEST_AVERAGES << 5 | POSITIVE_BIAS, _SELF_TEST_GAIN << 5)
+            self._trigger(device)
+            self._discard = 1  # made with the gain before
+            self._step = self._finish_self_test
+        return []
+
+    def _set_up(self, device: I2cDevice, now: int) -> None:
+        device.write(CONFIG_A, *self._settings())
+        self._check_settings(device)
+        self._trigger(device)
+        self._discard = 1
+        self._last_data = now
+        self._next_check = now + int(_CHECK_PERIOD * _SECOND)
+        self._equal = 0
+        self._step = self._run
+
+    def _settings(self) -> tuple[int, int]:
+        return AVERAGES.index(self._params.averages) << 5, self._gain << 5
+
+    def _check_settings(self, device: I2cDevice) -> None:
+        # The mode register is not read: that would lock the data registers.
+        if tuple(device.read(CONFIG_A, 2)) != self._settings():
+            raise OSError('the chip lost its settings: power dip?')
+
+    def _trigger(self, device: I2cDevice) -> None:
+        device.write(MODE, MODE_SINGLE)
+        self._triggered = self._clock()
+        self._not_before = self._steady() + int(_WAIT * _SECOND)
+
+    def _fetch(self, device: I2cDevice) -> bytes | None:
+        """Return the six data bytes of the measurement asked for, None while it is not ready."""
+        if not driven(device.read(STATUS))[0] & STATUS_READY:
+            return None
+        # All six in one go: a part of them would lock the registers.
+        return driven(device.read(DATA, 6))
+
+    def _finish_self_test(self, device: I2cDevice, now: int) -> list[MagReading]:
+        data = self._fetch(device)
+        if data is None:
+            raise OSError('no measurement in the self-test')
+        if self._discard:
+            self._discard -= 1
+            self._trigger(device)
+            return []
+        x, z, y = np.frombuffer(data, '>i2').tolist()
+        self.self_test_counts = (x, y, z)
+        low, high = _SELF_TEST_LIMITS
+        if not all(low <= value <= high for value in (x, y, z)):
+            raise SelfTestError(
+                f'self-test reads {x}, {y}, {z} counts, expected {low} to {high} on each axis'
+            )
+        self._tested = True
+        self._set_up(device, now)
+        return []
+
+    def _run(self, device: I2cDevice, now: int) -> list[MagReading]:
+        data = self._fetch(device)
+        if data is None:
+            if (now - self._last_data) * 1e-9 > _SILENCE:
+                self._check_settings(device)
+                raise OSError('no measurement becomes ready')
+            return []
+        self._last_data = now
+        if now >= self._next_check:
+            self._check_settings(device)
+            self._next_check = now + int(_CHECK_PERIOD * _SECOND)
+        measured_at = self._triggered + int(0.5 * MEASUREMENT_TIME * _SECOND)
+        gain = GAINS[self._gain]
+        x, z, y = np.frombuffer(data, '>i2').tolist()
+        overflow = OVERFLOW in (x, y, z)
+        fresh = not self._discard
+        if overflow and fresh:
+            self._enlarge_range(device)
+        self._discard = max(self._discard - 1, 0) if not (overflow and fresh) else 1
+        self._trigger(device)
+        if overflow or not fresh:
+            return []
+        self._watch_frozen(data)
+        self.link.works()
+        self.readings += 1
+        return [MagReading(measured_at, self._rotation @ (np.array([x, y, z]) * (TESLA_PER_GAUSS / gain)))]
+
+    def _enlarge_range(self, device: I2cDevice) -> None:
+        self.overflows += 1
+        if self._gain < _MAX_RANGE:
+            self._gain += 1
+            device.write(CONFIG_B, self._gain << 5)
+
+    def _watch_frozen(self, data: bytes) -> None:
+        self._equal = self._equal + 1 if data == self._previous else 0
+        self._previous = data
+        if self._equal >= _FROZEN_SAMPLES:
+            self._equal = 0
+            raise OSError('frozen: the same values again and again')

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 _SECOND = 1_000_000_000
+_ONES = b'\xff'
 # Sent again at once this often: a single disturbed transfer is common on long wires.
 RETRIES = 2
 # Linux documents these codes in Documentation/i2c/fault-codes.rst; adapters differ in which they use.
@@ -26,6 +27,10 @@ _EXPLANATIONS = {
     errno.ENOENT: 'no such bus: is I2C switched on?',
     errno.EACCES: "no permission: is the user in group 'i2c'?",
 }
+
+
+class WrongChipError(Exception):
+    """What answers at the address is another chip than the driver's."""
 
 
 class I2cBus(Protocol):
@@ -45,6 +50,13 @@ def explain(error: OSError) -> str:
     """Return what an I2C error means to someone with a soldering iron."""
     text = _EXPLANATIONS.get(error.errno or 0)
     return text if text is not None else (error.strerror or str(error) or type(error).__name__)
+
+
+def driven(data: bytes) -> bytes:
+    """Return `data` unless all of it reads 0xff, which is what a bus reads that nothing drives."""
+    if data == _ONES * len(data):
+        raise OSError('reads only ones: nothing drives the bus')
+    return data
 
 
 class LinuxI2cBus:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imu_kalman import mpu6050_registers as reg
-from imu_kalman.i2c import I2cBus, I2cDevice, Link, explain
+from imu_kalman.i2c import I2cBus, I2cDevice, Link, WrongChipError, driven, explain
 from imu_kalman.mpu6050_calibration import Calibration, Refused, RestWindow
 from imu_kalman.mpu6050_params import Mpu6050Params
 from imu_kalman.stamp_filter import StampFilter
@@ -37,11 +37,6 @@ _IDENTITY_READS = 3
 _LOOK_ALIKES = {0x70: 'MPU6500', 0x71: 'MPU9250', 0x73: 'MPU9255'}
 # What a bus reads as while nobody drives it, or while a line is held low.
 _NO_ANSWER = (0x00, 0xFF)
-_ONES = b'\xff'
-
-
-class WrongChipError(Exception):
-    """What answers at the address is not an MPU6050."""
 
 
 class ImuReading(NamedTuple):
@@ -298,7 +293,7 @@ class Mpu6050Driver:
             return [], []
 
     def _read_fifo(self, device: I2cDevice) -> tuple[list[bytes], list[int]]:
-        status = _driven(device.read_once(reg.INT_STATUS))[0]
+        status = driven(device.read_once(reg.INT_STATUS))[0]
         before = self._clock()
         high, low = device.read(reg.FIFO_COUNT_H, 2)
         after = self._clock()
@@ -312,7 +307,7 @@ class Mpu6050Driver:
         frames: list[bytes] = []
         while len(frames) < total:
             burst = min(_BURST_FRAMES, total - len(frames))
-            data = _driven(device.read_once(reg.FIFO_R_W, burst * reg.FRAME_SIZE))
+            data = driven(device.read_once(reg.FIFO_R_W, burst * reg.FRAME_SIZE))
             frames += [data[i : i + reg.FRAME_SIZE] for i in range(0, len(data), reg.FRAME_SIZE)]
         if not frames:
             return [], []
@@ -322,7 +317,7 @@ class Mpu6050Driver:
 
     def _read_sample(self, device: I2cDevice) -> tuple[list[bytes], list[int]]:
         before = self._clock()
-        data = _driven(device.read_once(reg.INT_STATUS, 1 + reg.FRAME_SIZE))
+        data = driven(device.read_once(reg.INT_STATUS, 1 + reg.FRAME_SIZE))
         after = self._clock()
         looked, self._looked = self._looked, before
         if not data[0] & reg.INT_DATA_READY:
@@ -362,10 +357,3 @@ class Mpu6050Driver:
             ImuReading(stamp - self._delay, gyro[i], accel[i], float(temperature[i]))
             for i, stamp in enumerate(stamps)
         ]
-
-
-def _driven(data: bytes) -> bytes:
-    """Return `data` unless all of it reads 0xff, which is what a bus reads that nothing drives."""
-    if data == _ONES * len(data):
-        raise OSError('reads only ones: nothing drives the bus')
-    return data

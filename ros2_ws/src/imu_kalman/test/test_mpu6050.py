@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from imu_kalman import mpu6050_registers as reg
 from imu_kalman.fake_bus import FakeBus, ManualClock
 from imu_kalman.fake_mpu6050 import FakeMpu6050
-from imu_kalman.mpu6050 import Mpu6050Driver, WrongChipError
+from imu_kalman.i2c import WrongChipError
+from imu_kalman.mpu6050 import Mpu6050Driver
 from imu_kalman.mpu6050_calibration import Calibration, Refused
 from imu_kalman.mpu6050_params import Mpu6050Params
 from imu_kalman.stamp_filter import StampFilter

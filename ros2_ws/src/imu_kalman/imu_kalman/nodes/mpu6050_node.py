@@ -13,8 +13,8 @@ from std_srvs.srv import Trigger
 
 from imu_kalman import sensor_codec as codec
 from imu_kalman.fake_mpu6050 import moving_chip_bus
-from imu_kalman.i2c import I2cBus, LinuxI2cBus
-from imu_kalman.mpu6050 import ImuReading, Mpu6050Driver, WrongChipError
+from imu_kalman.i2c import I2cBus, LinuxI2cBus, WrongChipError
+from imu_kalman.mpu6050 import ImuReading, Mpu6050Driver
 from imu_kalman.mpu6050_calibration import Refused
 from imu_kalman.mpu6050_params import Mpu6050Params
 from kalman_core.parameters import ParameterError

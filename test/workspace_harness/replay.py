@@ -19,6 +19,10 @@ from bag_tools.registry import find_ports
 from node_core.testing import Process
 
 
+# The first start of a node after a change compiles its kernels, which takes a minute on a busy machine.
+_START_TIMEOUT = ('--wait-timeout', '300')
+
+
 class ReplayError(RuntimeError):
     """A process of the graph failed; the message holds what it printed."""
 
@@ -81,7 +85,7 @@ def live(
             for e in estimators
         ]
         recorder = stack.enter_context(
-            Process.node('bag_tools', 'record', str(out), *topics, *step, '--overwrite')
+            Process.node('bag_tools', 'record', str(out), *topics, *step, *_START_TIMEOUT, '--overwrite')
         )
         with BagReader(bag) as reader:
             # Truth and the like need not travel through the graph.
@@ -94,6 +98,7 @@ def live(
                 str(bag),
                 *pace,
                 *step,
+                *_START_TIMEOUT,
                 '--topics',
                 *played,
                 '--wait-for',

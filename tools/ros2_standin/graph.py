@@ -14,8 +14,8 @@ from rclpy.node import Node
 from ros2_standin.text import message_class, set_fields
 
 # Discovery is done when nothing new has been heard for this long (s), and at most after the limit.
-_QUIET = 0.6
-_LIMIT = 3.0
+_QUIET = 1.0
+_LIMIT = 5.0
 
 
 @contextmanager

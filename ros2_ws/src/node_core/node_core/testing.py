@@ -28,7 +28,7 @@ from node_core.message_types import message_class
 from node_core.node import reliable
 
 # Generous: the machine may be loaded and kernels may have to be compiled first.
-TIMEOUT = 60.0  # s
+TIMEOUT = 180.0  # s
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 

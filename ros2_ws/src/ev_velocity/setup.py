@@ -16,11 +16,16 @@ setup(
     ],
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
-    package_data={package_name: ['py.typed']},
+    package_data={package_name: ['py.typed', 'data/*.dbc']},
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
     description='Longitudinal speed of an electric car at 500 Hz from wheels, GPS, accelerometer and pedals.',
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            f'{node} = {package_name}.nodes.{node}:main'
+            for node in ('fusion_estimator', 'velocity_estimator')
+        ]
+    },
 )

@@ -43,7 +43,7 @@ MOST_STEPS = 1000.0
 
 @njit(cache=True, nogil=True)
 def multirate_sample(m, at, z, r, t, step):
-    """Give the M-MKF at offset `at` the slow sample `z` (m/s) of time `t` (ns); `step` is the fast one (s)."""
+    """Give the M-MKF at offset `at` the sample `z` (m/s) of time `t` (ns); `step` (s) is the fast one."""
     f = m[at : at + M_SIZE]
     if f[M_USED] == 0.0:
         f[:] = 0.0

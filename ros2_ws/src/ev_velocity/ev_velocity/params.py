@@ -93,6 +93,59 @@ class VelocityParams:
     bleed_step: float = parameter(
         0.012, 'largest correction let out in 2 ms', unit='m/s', minimum=1e-4, live=True
     )
+    calibration_file: str = parameter('', 'file that keeps wheel scale and slip from drive to drive')
+    settled_output: bool = parameter(False, 'also give the estimate once the lag window has passed')
+    lag_window: float = parameter(
+        0.5, 'largest delay of arrival that is repaired', unit='s', minimum=0.0, maximum=5.0
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FusionParams:
+    """The paper's fusion. The σ are by phase: accelerating, steady, braking, coasting."""
+
+    variant: str = parameter(
+        'corrected',
+        'published: a slow sample used N times counts N-fold, phases by the rules as printed',
+        choices=('published', 'corrected'),
+    )
+    wheel_radius: float = parameter(0.285, 'nominal rolling radius', unit='m', minimum=0.05, maximum=2.0)
+    wheel_scale: float = parameter(
+        0.0, 'the wheel reads (1 + wheel_scale) times the road', minimum=-0.2, maximum=0.2
+    )
+    sigma_wheel: tuple = parameter(
+        (0.6, 0.5, 0.6, 0.5), 'σ of the wheel speed in the weights', unit='m/s', minimum=1e-4, live=True
+    )
+    sigma_gps: tuple = parameter(
+        (0.1, 0.1, 0.1, 0.1), 'σ of the GPS speed in the weights', unit='m/s', minimum=1e-4, live=True
+    )
+    sigma_accelerometer: tuple = parameter(
+        (0.015, 0.015, 0.015, 0.015),
+        'σ of one step of the integrated acceleration in the weights',
+        unit='m/s',
+        minimum=1e-4,
+        live=True,
+    )
+    wheel_noise: float = parameter(
+        0.2, 'noise of a wheel speed sample: a count in 0.1 s', unit='m/s', minimum=1e-3, live=True
+    )
+    gps_noise: float = parameter(0.05, 'noise of a GPS speed sample', unit='m/s', minimum=1e-3, live=True)
+    accelerometer_noise: float = parameter(
+        0.15, 'noise of an accelerometer sample', unit='m/s²', minimum=1e-3, live=True
+    )
+    jerk_noise: float = parameter(
+        2.0, 'random walk of the acceleration in all filters', unit='m/s²/√s', minimum=1e-3, live=True
+    )
+    acceleration_threshold: float = parameter(
+        0.15, "the rules' e_x: below it the car is steady", unit='m/s²', minimum=0.0, live=True
+    )
+    pedal_threshold: float = parameter(
+        0.2, "the rules' e_a: below it the pedal holds the speed", minimum=0.0, maximum=1.0, live=True
+    )
+    stale_time: float = parameter(
+        2.5, 'a sensor silent for longer has no weight', unit='s', minimum=0.1, live=True
+    )
+    settled_output: bool = parameter(False, 'also give the estimate once the lag window has passed')
     lag_window: float = parameter(
         0.5, 'largest delay of arrival that is repaired', unit='s', minimum=0.0, maximum=5.0
     )

@@ -31,10 +31,18 @@ class AngleSample(NamedTuple):
 
 
 class WheelSpeedSample(NamedTuple):
-    """Speed that the wheels or the speedometer say, m/s at the nominal radius, never negative."""
+    """Speed that the wheels or the speedometer say, m/s; `variance` (m/s)², 0 where nobody gives one."""
 
     stamp: int
     speed: float
+    variance: float = 0.0
+
+
+class WheelRateSample(NamedTuple):
+    """Turning rates of one or more wheels, rad/s."""
+
+    stamp: int
+    rates: tuple[float, ...]
 
 
 class PedalSample(NamedTuple):

@@ -8,7 +8,6 @@ from the seed; sizes are those of the settings.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -51,7 +50,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Truth at `t` (500 Hz) and the sensor streams. `gps` carries validity delayed by `settings.gps_delay`."""
+    """Truth at `t` (500 Hz) and the sensor streams; the GPS speed was valid `gps_delay` before its stamp."""
 
     settings: Settings
     t: np.ndarray  # (n,) s
@@ -173,6 +172,3 @@ def scenario(name: str, seed: int) -> Drive:
     if name not in SCENARIOS:
         raise KeyError(f"unknown scenario '{name}'; known: {', '.join(SCENARIOS)}")
     return simulate(SCENARIOS[name], seed)
-
-
-Generator = Callable[[int], Drive]

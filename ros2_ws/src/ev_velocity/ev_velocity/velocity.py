@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from ev_velocity import velocity_memory as mem
 from ev_velocity.params import VelocityParams
 from ev_velocity.phases import Phase, classify
 from ev_velocity.samples import (
+    CONSTANT_NAMES,
     AccelerationEstimate,
     AngleSample,
     ConstantsEstimate,
@@ -25,6 +26,7 @@ from ev_velocity.samples import (
     SettledSpeed,
     SlipEstimate,
     SpeedEstimate,
+    WheelRateSample,
     WheelSpeedSample,
 )
 from ev_velocity.velocity_kernels import direction_of, force_step, let_out, predict
@@ -65,7 +67,6 @@ def kernel_constants(params: VelocityParams) -> np.ndarray:
         mem.Q_SCALE: params.scale_noise**2,
         mem.GATE: params.gate,
         mem.TOOTH: 2.0 * math.pi * params.wheel_radius / params.pulses_per_revolution,
-        mem.WHEEL_VARIANCE: params.wheel_speed_sigma**2,
         mem.WHEEL_CORRELATION: params.wheel_speed_correlation * SECOND,
         mem.STILL_VARIANCE: params.still_sigma**2,
         mem.STILL_TIME: params.still_time * SECOND,
@@ -170,7 +171,9 @@ class _Model:
         return [self._slip(sample.stamp, done), *self._silent(sample.stamp, t)]
 
     def _wheel_speed(self, sample: WheelSpeedSample, t: float) -> Any:
-        done = speed_step(self.state, self._constants, sample.speed, t, self._scratch)
+        sigma = self.params.wheel_speed_sigma
+        variance = sample.variance if sample.variance > 0.0 else sigma * sigma
+        done = speed_step(self.state, self._constants, sample.speed, variance, t, self._scratch)
         self._book(WHEEL_SPEED, sample.stamp, done)
         return [self._slip(sample.stamp, done), *self._silent(sample.stamp, t)]
 
@@ -223,6 +226,7 @@ class VelocityEstimator:
         params = params or VelocityParams()
         self.tally = Tally()
         self._model = _Model(params, self.tally)
+        self._settled_output = params.settled_output
         self._buffer = EventTimeBuffer(self._model, NAMES, self.tally, window=int(params.lag_window * SECOND))
 
     @property
@@ -235,26 +239,30 @@ class VelocityEstimator:
         """The parameters in force."""
         return self._model.params
 
-    def configure(self, params: VelocityParams) -> None:
-        """Take new live parameters without a restart; start values keep their effect for the next reset."""
+    def set_params(self, params: VelocityParams) -> None:
+        """Take new live parameters without a restart; start values have their effect at the next reset."""
         self._model.configure(params)
 
     def reset(self) -> None:
         """Return to the initial state."""
         self._buffer.reset()
 
-    def learned(self) -> VelocityParams:
-        """Return the parameters with the wheel scale and slip as learned: what is saved for the next drive."""
-        constants = self._model.constants(0)
-        values = dict(zip(('bias', 'pitch', 'scale', 'slip'), constants.values, strict=False))
-        sigmas = dict(zip(('bias', 'pitch', 'scale', 'slip'), constants.sigmas, strict=False))
-        return replace(
-            self.params,
-            scale=values['scale'],
-            scale_sigma=max(sigmas['scale'], 1e-5),
-            slip=min(max(values['slip'], 0.0), 0.05),
-            slip_sigma=sigmas['slip'],
-        )
+    def learned(self) -> dict[str, float]:
+        """Return wheel scale and slip as learned, by name of the parameter that starts them."""
+        learned = self._model.constants(0)
+        values = dict(zip(CONSTANT_NAMES, learned.values))
+        sigmas = dict(zip(CONSTANT_NAMES, learned.sigmas))
+        return {
+            'scale': values['wheel_scale'],
+            'scale_sigma': sigmas['wheel_scale'],
+            'slip': max(values['wheel_slip'], 0.0),
+            'slip_sigma': sigmas['wheel_slip'],
+        }
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return what the filter has learned, and how much its innovations exceed their covariance."""
+        learned = self._model.constants(0)
+        return {**dict(zip(CONSTANT_NAMES, learned.values)), 'mean_nis': float(self.state[mem.SURPRISE])}
 
     def on_force(self, sample: ForceSample) -> list | None:
         """Take the accelerometer: the fast sensor, at whose stamps the estimate goes out."""
@@ -284,6 +292,12 @@ class VelocityEstimator:
             return None
         return self._feed(WHEEL_SPEED, sample._replace(speed=abs(sample.speed)))
 
+    def on_wheel_rates(self, sample: WheelRateSample) -> list | None:
+        """Take the turning rates of the wheels: their median counts, so that one wheel may slip."""
+        rates = [abs(rate) for rate in sample.rates]
+        speed = median(rates) * self.params.wheel_radius if rates else math.nan
+        return self.on_wheel_speed(WheelSpeedSample(sample.stamp, speed))
+
     def on_pedals(self, sample: PedalSample) -> list | None:
         """Take the pedals, which name the driving phase."""
         if not (0.0 <= sample.accelerator <= 1.0 and 0.0 <= sample.brake <= 1.0):
@@ -297,9 +311,20 @@ class VelocityEstimator:
 
     def _feed(self, port: int, sample: Any) -> list | None:
         prompt, settled = self._buffer.feed(port, sample)
-        if not settled:
+        if not settled or not self._settled_output:
             return prompt
         out = list(prompt) if prompt else []
         for estimates in settled:
             out.extend(SettledSpeed(*e) for e in estimates if type(e) is SpeedEstimate)
         return out
+
+
+def warm() -> None:
+    """Compile or load every kernel."""
+    estimator = VelocityEstimator()
+    for stamp in (SECOND, 2 * SECOND):
+        estimator.on_gps(GpsSample(stamp, 1.0))
+        estimator.on_angle(AngleSample(stamp, 0.0))
+        estimator.on_wheel_speed(WheelSpeedSample(stamp, 1.0))
+        estimator.on_gear(GearSample(stamp, 1))
+        estimator.on_force(ForceSample(stamp, 0.0))

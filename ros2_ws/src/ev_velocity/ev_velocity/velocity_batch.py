@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole drive through the joint filter in one compiled loop: the streaming estimator's kernels, in order."""
+"""A whole drive through the joint filter in one compiled loop over the streaming kernels."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _run(m, constants, kinds, times, values, variances, out, states, done):
         elif kind == COUNT:
             done[i] = count_step(m, constants, values[i], times[i], h)
         else:
-            done[i] = speed_step(m, constants, values[i], times[i], h)
+            done[i] = speed_step(m, constants, values[i], variances[i], times[i], h)
 
 
 def run(
@@ -58,8 +58,9 @@ def run(
     angle: tuple[np.ndarray, np.ndarray] | None = None,
     wheel_speed: tuple[np.ndarray, np.ndarray] | None = None,
     gps_sigma: float | None = None,
+    wheel_speed_sigma: float | None = None,
 ) -> Series:
-    """Filter a drive given as (times in s, values) of each sensor; `gps_sigma` (m/s) as a message gives it."""
+    """Filter a drive given as (times in s, values) of each sensor; the sigmas (m/s) as messages give them."""
     per_radian = params.pulses_per_revolution / (2.0 * math.pi)
     streams = []
     for kind, stream in ((FORCE, force), (GPS, gps), (COUNT, angle), (SPEED, wheel_speed)):
@@ -78,6 +79,7 @@ def run(
     out = np.zeros((n, 3))
     states = np.zeros((n, mem.N))
     done = np.zeros(kinds.size, dtype=np.int64)
-    variances = np.full(kinds.size, sigma * sigma)
+    wheel_sigma = params.wheel_speed_sigma if wheel_speed_sigma is None else wheel_speed_sigma
+    variances = np.where(kinds == SPEED, wheel_sigma * wheel_sigma, sigma * sigma)
     _run(m, kernel_constants(params), kinds, times, values, variances, out, states, done)
     return Series(out[:, 0], out[:, 1], out[:, 2], states, done, m)

@@ -52,7 +52,6 @@ from ev_velocity.velocity_memory import (
     WHEEL_RESIDUAL,
     WHEEL_SPEED,
     WHEEL_TIME,
-    WHEEL_VARIANCE,
     B,
     C,
     N,
@@ -301,11 +300,12 @@ def count_step(m, constants, count, t, h):
 
 
 @njit(cache=True, nogil=True)
-def speed_step(m, constants, speed, t, h):
-    """Correct with a speed signal of the wheels (m/s, not negative) at `t` (ns), as OBD or ABS give it.
+def speed_step(m, constants, speed, variance, t, h):
+    """Correct with a speed signal of the wheels (m/s, not negative, variance in (m/s)²) at `t` (ns).
 
-    Its noise stays the same for WHEEL_CORRELATION, so that a faster signal counts for less per sample. Such
-    signals read 0 below some speed: a zero is standstill or nothing. Returns what was done.
+    OBD and ABS give such signals. The noise stays the same for WHEEL_CORRELATION, so that a faster signal
+    counts for less per sample. A zero is standstill or nothing: below some speed they all read 0.
+    Returns what was done.
     """
     predict(m, constants, t)
     dt = t - m[SPEED_TIME]
@@ -336,7 +336,7 @@ def speed_step(m, constants, speed, t, h):
     h[S] = then
     h[C] = a * then * sign
     residual = sign * speed - ratio * then
-    r = constants[WHEEL_VARIANCE] * max(1.0, constants[WHEEL_CORRELATION] / dt)
+    r = variance * max(1.0, constants[WHEEL_CORRELATION] / dt)
     m[NIS] = correct(m, residual, h, r, constants[GATE])
     m[WHEEL_RESIDUAL] = residual
     m[SLIP] = slip_ratio(m[WHEEL_SPEED], then)

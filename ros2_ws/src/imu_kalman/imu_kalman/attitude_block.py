@@ -206,9 +206,10 @@ def propagate(state, par, work, cov):
 
 @njit(cache=True, nogil=True)
 def scalar_update(state, cov, work, h, innovation, variance, considered):
-    """Correct with one scalar measurement of row `h` (N,) and noise `variance`; returns the NIS.
+    """Correct with one scalar measurement of row `h` (N,) and noise `variance`.
 
     With `considered` only heading and bias are corrected and the covariance is that of this smaller gain.
+    Returns the variance of the innovation.
     """
     ph = work[VECTORS, PH]
     gain = work[VECTORS, GAIN]
@@ -234,7 +235,7 @@ def scalar_update(state, cov, work, h, innovation, variance, considered):
             cov[i, j] = t
             cov[j, i] = t
     inject(state, work, innovation * inverse)
-    return innovation * innovation * inverse
+    return s
 
 
 @njit(cache=True, nogil=True)
@@ -303,10 +304,12 @@ def motion_update(state, par, work, cov):
         h[8 + i] = c_pos
         mean = state[FORCE_N + i] / span
         innovation = -(mean + c_vel * state[VEL + i] + c_pos * state[POS + i])
-        nis += scalar_update(state, cov, work, h, innovation, variance, False)
-        power += innovation * innovation
+        total = scalar_update(state, cov, work, h, innovation, variance, False)
+        nis += innovation * innovation / total
+        # What the innovation shows beyond what the state's own uncertainty explains.
+        power += innovation * innovation - (total - variance)
     state[MOTION_NIS] = nis
-    shown = 0.5 * power
+    shown = max(0.5 * power, 0.0)
     rate = _ATTACK if shown > state[LEVEL] else 1.0
     state[LEVEL] += (shown - state[LEVEL]) * min(1.0, rate * span / par[LEVEL_DECAY])
 
@@ -335,7 +338,9 @@ def magnetic_update(state, par, work, cov):
     h[0] = -mx * slope
     h[1] = -my * slope
     h[2] = 1.0
-    state[MAG_NIS] = scalar_update(state, cov, work, h, math.atan2(mx, my), variance, True)
+    innovation = math.atan2(mx, my)
+    total = scalar_update(state, cov, work, h, innovation, variance, True)
+    state[MAG_NIS] = innovation * innovation / total
 
 
 @njit(cache=True, nogil=True)

@@ -35,7 +35,6 @@ from imu_kalman.attitude_layout import (
     BLOCK,
     COUNT,
     COV,
-    DAMPING,
     DELAY,
     DELAY_VAR,
     FAILED,
@@ -64,6 +63,7 @@ from imu_kalman.attitude_layout import (
     ROT,
     SEC,
     SPAN,
+    START_VEL_VAR,
     STARTED,
     TILT_VAR,
     UNKNOWN_ANGLE_VAR,
@@ -72,9 +72,6 @@ from imu_kalman.attitude_layout import (
     N,
     Q,
 )
-
-# Before the filter has seen any motion, velocity (m/s) and position (m) are known this well at least.
-_MOTION_START_VAR = 0.3**2
 
 
 @njit(cache=True, nogil=True)
@@ -109,8 +106,8 @@ def start(state, par, ax, ay, az, keep_bias):
     state[REST_TIME] = 0.0
     state[COV:] = 0.0
     state[MOTION_ACC : MOTION_AGE + 1] = 0.0
-    vel_var = max(par[LEVEL_MIN] / (4.0 * par[DAMPING] * par[OMEGA_MIN]), _MOTION_START_VAR)
-    pos_var = max(vel_var / par[OMEGA_MIN] ** 2, _MOTION_START_VAR)
+    vel_var = par[START_VEL_VAR]
+    pos_var = vel_var / par[OMEGA_MIN] ** 2
     for i in range(2):
         state[COV + i * (N + 1)] = par[TILT_VAR]
         state[COV + (6 + i) * (N + 1)] = vel_var

@@ -76,8 +76,9 @@ STATE = COV + N * N
     DELAY,
     DELAY_VAR,
     HEADING_VAR,
-) = range(32)
-PARAMS = 32
+    START_VEL_VAR,
+) = range(33)
+PARAMS = 33
 # Scratch (WORK, N, N): transition, half product, vectors (row by row below), covariance before the updates.
 WORK = 4
 PHI, HALF, VECTORS, PRIOR = range(WORK)
@@ -128,6 +129,7 @@ def pack(p: AttitudeParams) -> np.ndarray:
         DELAY: p.sensor_delay,
         DELAY_VAR: p.delay_sigma**2,
         HEADING_VAR: p.heading_sigma**2,
+        START_VEL_VAR: p.start_speed**2,
     }
     out = np.zeros(PARAMS)
     for index, value in values.items():

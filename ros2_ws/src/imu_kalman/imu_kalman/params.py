@@ -104,6 +104,9 @@ class AttitudeParams:
     tilt_sigma: float = parameter(
         0.2, 'roll and pitch of the first sample, one sigma', unit='rad', minimum=1e-3, maximum=3.0
     )
+    start_speed: float = parameter(
+        1.0, 'horizontal speed at the start, one sigma per axis', unit='m/s', minimum=1e-3, maximum=1e3
+    )
     motion_frequency: float = parameter(
         0.1,
         'least frequency below which linear acceleration vanishes, since the motion stays in place',
@@ -119,7 +122,7 @@ class AttitudeParams:
     )
     motion_damping: float = parameter(0.7, 'damping of the motion model', minimum=0.05, maximum=5.0)
     motion_noise: float = parameter(
-        0.3,
+        1.0,
         'least density of linear acceleration above that frequency',
         unit='m/s^2/sqrt(Hz)',
         minimum=1e-3,

@@ -18,7 +18,6 @@ from bag_tools.offline import OfflineResult, offline
 from bag_tools.registry import find_ports
 from node_core.testing import Process
 
-
 # The first start of a node after a change compiles its kernels, which takes a minute on a busy machine.
 _START_TIMEOUT = ('--wait-timeout', '300')
 

@@ -113,6 +113,31 @@ class AttitudeParams:
     antenna_lever_arm: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0), 'GNSS antenna from the IMU, x forward y left z up', unit='m'
     )
+    published_interval: float = parameter(
+        0.2, 'interval of the update of the published schedule', unit='s', minimum=0.001, maximum=10.0
+    )
+    published_cutoff: float = parameter(
+        5.0, 'low-pass on accelerometer and magnetometer of the published schedule', unit='Hz', minimum=0.05
+    )
+    published_transition: str = parameter(
+        'accumulated',
+        'covariance over 0.2 s: carried over each gyro step, or with the attitude of one instant as printed',
+        choices=('accumulated', 'instant'),
+    )
+    published_force_sigma: float = parameter(
+        0.1, 'error of the gravity direction, published schedule', minimum=1e-4, maximum=2.0
+    )
+    published_field_sigma: float = parameter(
+        0.05, 'error of the field direction, published schedule', minimum=1e-4, maximum=2.0
+    )
+    field_dip: float = parameter(
+        55.0, 'dip of the field, published schedule', unit='°', minimum=-89.0, maximum=89.0
+    )
+    angle_rate: float = parameter(
+        20.0, 'rate of roll, pitch and yaw on their own topic', unit='Hz', minimum=1.0, maximum=1000.0
+    )
+    settled_output: bool = parameter(False, 'publish the settled attitude, `window` later')
+    frame_id: str = parameter('', "frame of the IMU's messages, others are rejected; empty: any")
     valid_sigma: float = parameter(
         0.5, 'largest 1σ of roll and pitch that is declared valid', unit='°', minimum=0.05, maximum=10.0
     )

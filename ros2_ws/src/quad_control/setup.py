@@ -20,7 +20,19 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="Kalman attitude, PID control, mixer and tuning of an X quadcopter.",
+    description='Kalman attitude, PID control, mixer and tuning of an X quadcopter.',
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            f'{node} = {package_name}.nodes.{node}:main'
+            for node in (
+                'attitude_controller',
+                'attitude_filter',
+                'esc_driver',
+                'pilot',
+                'quad_simulator',
+                'web_tuner',
+            )
+        ]
+    },
 )

@@ -5,7 +5,8 @@ In free flight an accelerometer measures thrust and drag, hardly any tilt. So it
 attitude here; it drives a velocity, and two weak facts about multirotors correct that velocity: rotor drag
 makes the horizontal specific force −d·v (Leishman, Abeywardena, IEEE CSM 34(1), 2014), and a craft does not
 run away from hover for ever (velocity = 0 with a wide noise). Tilt and gyro bias follow through the
-covariance. On a stand or on the ground the same facts hold exactly.
+covariance. While the craft stands (`attitude_filter` decides) velocity = 0 holds tightly instead, which
+levels it.
 
 Error state (9,): attitude error in the local-level frame (rad, ``q_true = exp(error) q``), gyro bias
 (rad/s, body), velocity (m/s, ENU). Source of the error equations: Sola (2017), global angular error.

@@ -14,7 +14,7 @@ from kalman_core.rotation import euler_from_quat, matrix_from_quat, quat_from_eu
 from quad_control import attitude_driven as driven
 from quad_control import attitude_published as published
 from quad_control import stillness
-from quad_control.params import AttitudeParams
+from quad_control.params import GRAVITY, AttitudeParams
 from quad_control.samples import Attitude, ImuSample, RawAngle, SettledAttitude
 
 SENSOR = 'imu/data_raw'
@@ -43,8 +43,9 @@ _V = slice(32, 35)
 _P = slice(35, 116)
 _ROLL_X, _PITCH_X = slice(116, 118), slice(118, 120)
 _ROLL_P, _PITCH_P = slice(120, 124), slice(124, 128)
-_YAW = 128
-_SIZE = 129
+_YAW, _STANDING = 128, 129
+_REFERENCE = slice(130, 133)
+_SIZE = 133
 
 
 class _Model:
@@ -98,9 +99,13 @@ class _Model:
             dt = p.period
         if not s[_STARTED]:
             self._level(force)
+        elif dt > _LONG_GAP:
+            self._start_anew(force)
+            dt = p.period
         elif dt > _GAP:
-            self._gap(dt, force)
-            dt = min(dt, _LONG_GAP)
+            for i in range(3):
+                self.P[i, i] += (_HIDDEN_RATE * (dt - _GAP)) ** 2
+            stillness.clear(self.still)
         s[_SEC], s[_NANO] = second, nano
         last = s[_LAST]
         same = bool(np.array_equal(last[:3], gyro) and np.array_equal(last[3:], force))
@@ -109,6 +114,7 @@ class _Model:
         last[3:] = force
 
         self._calibrate(gyro, force, dt)
+        self._stand(gyro, force)
         nis = self._driven_step(gyro, force, dt)
         if p.filter != 'gyro_driven':
             nis = self._published_step(gyro, force, dt)
@@ -121,18 +127,19 @@ class _Model:
         self.axes[0][0][:] = roll, 0.0
         self.axes[1][0][:] = pitch, 0.0
         self.state[_STARTED] = 1.0
+        self.state[_STANDING] = 1.0  # until it moves: the first sample that does not fit ends it
+        self.state[_REFERENCE] = force
 
-    def _gap(self, dt: float, force: np.ndarray) -> None:
+    def _start_anew(self, force: np.ndarray) -> None:
+        """Begin again from the accelerometer after a long silence; the gyro bias is kept."""
         p = self.params
-        if dt > _LONG_GAP:
-            bias_block = self.P[3:6, 3:6].copy()
-            self.P[:] = np.diag([p.tilt_prior**2] * 3 + [0.0] * 3 + [p.velocity_prior**2] * 3)
-            self.P[3:6, 3:6] = bias_block
-            self.v[:] = 0.0
-            self._level(force)
-        else:
-            for i in range(3):
-                self.P[i, i] += (_HIDDEN_RATE * (dt - _GAP)) ** 2
+        bias_block = self.P[3:6, 3:6].copy()
+        self.P[:] = np.diag([p.tilt_prior**2] * 3 + [0.0] * 3 + [p.velocity_prior**2] * 3)
+        self.P[3:6, 3:6] = bias_block
+        self.v[:] = 0.0
+        for _, covariance in self.axes:
+            covariance[:] = np.diag([published.ANGLE_PRIOR, published.RATE_PRIOR])
+        self._level(force)
         stillness.clear(self.still)
 
     def _calibrate(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> None:
@@ -154,6 +161,9 @@ class _Model:
         if verdict == 1 and not self._frozen:
             variance = p.bias_sigma**2
             mean = self.still[2:5].copy()
+            if stillness.force_spread(self.still) <= p.ground_acceleration:
+                s[_STANDING] = 1.0
+                s[_REFERENCE] = self.still[5:8]
             if not s[_CALIBRATED]:
                 # The first still window: also the start of the tilt, from a mean instead of one sample.
                 s[_CALIBRATED] = 1.0
@@ -169,6 +179,22 @@ class _Model:
                     row[3 + i] = 0.0
         stillness.clear(self.still)
 
+    def _stand(self, gyro: np.ndarray, force: np.ndarray) -> None:
+        """End standing when the craft turns or the specific force changes."""
+        p = self.params
+        s = self.state
+        if not s[_STANDING]:
+            return
+        turning = np.abs(gyro).max() > p.still_bias + 3.0 * p.still_rate
+        moving = np.abs(force - s[_REFERENCE]).max() > p.ground_departure
+        shaken = abs(math.sqrt(force @ force) - GRAVITY) > 2.0 * p.ground_departure
+        if not (turning or moving or shaken):
+            return
+        s[_STANDING] = 0.0
+        # Standing cannot tell tilt from accelerometer bias.
+        for i in range(2):
+            self.P[i, i] += (p.accelerometer_bias / GRAVITY) ** 2
+
     def _driven_step(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> float:
         p = self.params
         driven.predict(
@@ -183,8 +209,17 @@ class _Model:
             p.bias_walk**2,
             p.specific_force_noise**2,
         )
+        standing = bool(self.state[_STANDING])
         return driven.correct(
-            self.q, self.b, self.v, self.P, force, dt, p.drag, p.drag_noise**2, p.hover_noise**2
+            self.q,
+            self.b,
+            self.v,
+            self.P,
+            force,
+            dt,
+            0.0 if standing else p.drag,
+            p.drag_noise**2,
+            p.ground_noise**2 if standing else p.hover_noise**2,
         )
 
     def _published_step(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> float:
@@ -347,6 +382,7 @@ class AttitudeFilter:
         return {
             'calibrated': self.calibrated,
             'frozen': self.frozen,
+            'standing': bool(m.state[_STANDING]),
             'bias_x_rad_s': bias[0],
             'bias_y_rad_s': bias[1],
             'bias_z_rad_s': bias[2],

@@ -238,11 +238,6 @@ class AttitudeController:
             'battery_v': voltage,
         }
 
-    def take_events(self) -> list[Event]:
-        """Return events that arose outside a handler (services, parameters), and forget them."""
-        events, self._events = self._events, []
-        return events
-
     @property
     def last_demand(self) -> np.ndarray:
         """Torque demand (3,) of the last step, thrust fractions, before the mixer."""
@@ -286,7 +281,7 @@ class AttitudeController:
             (float(demand[0]), float(demand[1]), float(demand[2]), float(throttle)),
             _four(self._achieved),
         )
-        return [MotorCommand(sample.stamp, _four(self._pulses), _four(self._thrust)), report, *self._said()]
+        return [MotorCommand(sample.stamp, _four(self._pulses), _four(self._thrust)), report, *self.said()]
 
     def _rest(self, sample: Attitude) -> list:
         p = self.params
@@ -305,7 +300,7 @@ class AttitudeController:
             zero,
             zero,
         )
-        return [MotorCommand(sample.stamp, stop, zero), report, *self._said()]
+        return [MotorCommand(sample.stamp, stop, zero), report, *self.said()]
 
     def _demand(self, time: float, dt: float) -> tuple[float, float, float, float]:
         p, sp, altitude = self.params, self._setpoint, self.altitude
@@ -398,8 +393,9 @@ class AttitudeController:
         if text:
             self._events.append(Event(stamp, kind, text))
 
-    def _said(self) -> list:
-        events = self.take_events()
+    def said(self) -> list:
+        """Return events that arose outside a handler (services, parameters), and a changed arming state."""
+        events, self._events = self._events, []
         out: list = list(events)
         if any(event.kind == 'arming' for event in events):
             out.append(ArmingState(events[-1].stamp, NAMES[self.arming.mode]))

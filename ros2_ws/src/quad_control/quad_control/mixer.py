@@ -62,11 +62,9 @@ def duty_from_thrust(thrust, curve, voltage_ratio):
     voltage over that of full thrust. Linearises the loop: its gain no longer depends on throttle or charge.
     """
     t = min(max(thrust, 0.0), 1.0)
-    if curve < 1e-6:
-        d = t
-    else:
-        b = 1.0 - curve
-        d = (math.sqrt(b * b + 4.0 * curve * t) - b) / (2.0 * curve)
+    b = 1.0 - curve
+    # The rationalised root: exact for a linear curve too.
+    d = 2.0 * t / (b + math.sqrt(b * b + 4.0 * curve * t)) if t > 0.0 else 0.0
     return min(d / voltage_ratio, 1.0)
 
 

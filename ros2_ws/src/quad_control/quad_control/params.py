@@ -62,6 +62,24 @@ class AttitudeParams:
     still_acceleration: float = parameter(
         0.5, 'largest accelerometer spread in a still window', unit='m/s^2', minimum=0.0
     )
+    ground_acceleration: float = parameter(
+        0.15,
+        'accelerometer spread under which a still craft stands with its motors off',
+        unit='m/s^2',
+        minimum=0.0,
+    )
+    ground_departure: float = parameter(
+        0.5, 'change of specific force that ends standing', unit='m/s^2', minimum=0.01
+    )
+    ground_noise: float = parameter(
+        0.05, 'noise of velocity = 0 while standing', unit='m/s/sqrt(Hz)', minimum=1e-4
+    )
+    accelerometer_bias: float = parameter(
+        0.05,
+        'sigma of the accelerometer bias; it limits the tilt that standing gives',
+        unit='m/s^2',
+        minimum=0.0,
+    )
     still_bias: float = parameter(
         0.12, 'a mean rate above this is a turn, not a bias', unit='rad/s', minimum=0.0
     )

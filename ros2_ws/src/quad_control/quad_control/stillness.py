@@ -49,3 +49,12 @@ def add(w, gyro, force, dt, length, rate_spread, force_spread, largest_mean):
         if i < 3 and abs(w[_MEAN + i]) > largest_mean:
             return 2
     return 1
+
+
+@njit(cache=True, nogil=True)
+def force_spread(w):
+    """Return the largest spread (σ, m/s²) of the accelerometer's axes in the window."""
+    largest = 0.0
+    for i in range(3, 6):
+        largest = max(largest, w[_SQUARES + i])
+    return math.sqrt(largest / max(w[_COUNT] - 1.0, 1.0))

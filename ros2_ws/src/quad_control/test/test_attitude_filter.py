@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kalman_core.rotation import euler_from_quat, quat_from_euler, quat_rotate_inverse
+from quad_control.attitude_filter import AttitudeFilter, tilt_error
+from quad_control.params import GRAVITY, AttitudeParams
+from quad_control.samples import Attitude, ImuSample, RawAngle, SettledAttitude
+
+START = 10**9
+STEP = 5_000_000
+
+
+def still(n, roll=0.0, pitch=0.0, bias=(0.0, 0.0, 0.0), seed=0, start=START):
+    rng = np.random.default_rng(seed)
+    up = quat_rotate_inverse(quat_from_euler(roll, pitch, 0.0), np.array([0.0, 0.0, GRAVITY]))
+    return [
+        ImuSample(
+            start + i * STEP,
+            tuple(np.array(bias) + 1e-3 * rng.standard_normal(3)),
+            tuple(up + 0.05 * rng.standard_normal(3)),
+        )
+        for i in range(n)
+    ]
+
+
+def prompt(out):
+    return [e for e in out or [] if type(e) is Attitude]
+
+
+def run(filter_, samples):
+    return [e for s in samples for e in prompt(filter_.on_imu(s))]
+
+
+@pytest.mark.parametrize('name', ['published', 'corrected', 'gyro_driven'])
+def test_settles_on_the_tilt_of_a_craft_at_rest(name):
+    out = run(AttitudeFilter(AttitudeParams(filter=name)), still(600, roll=0.3, pitch=-0.2))
+    roll, pitch, _ = euler_from_quat(np.array(out[-1].quaternion))
+    assert (roll, pitch) == pytest.approx((0.3, -0.2), abs=0.01)
+
+
+def test_a_still_second_gives_the_bias_and_removes_it_from_the_rates():
+    bias = (0.05, -0.03, 0.02)
+    f = AttitudeFilter()
+    out = run(f, still(300, bias=bias))
+    assert f.calibrated
+    assert f.bias == pytest.approx(bias, abs=5e-4)
+    assert max(out[0].rate_variance) > 0.05**2 * 0.9
+    assert max(out[-1].rate_variance) < 0.02**2
+
+
+def test_a_turning_craft_is_not_calibrated():
+    samples = [s._replace(rate=(0.3, 0.0, 0.0)) for s in still(300)]
+    f = AttitudeFilter()
+    run(f, samples)
+    assert not f.calibrated
+
+
+def test_a_frozen_sensor_is_told_by_its_variance_and_forgiven_when_it_moves_again():
+    f = AttitudeFilter()
+    samples = still(300)
+    run(f, samples)
+    last = samples[-1]
+    frozen = [last._replace(stamp=last.stamp + (i + 1) * STEP) for i in range(20)]
+    out = run(f, frozen)
+    flagged = [max(e.rate_variance) > 1.0 for e in out]
+    # The eighth equal sample: 40 ms after the last true one at 200 Hz.
+    assert flagged.index(True) == 6
+    assert all(flagged[6:])
+    again = run(f, still(5, start=frozen[-1].stamp + STEP, seed=9))
+    assert max(again[0].rate_variance) < 1.0
+
+
+@pytest.mark.parametrize(
+    ('change', 'reason'),
+    [
+        ({'rate': (math.nan, 0.0, 0.0)}, 'not finite'),
+        ({'force': (0.0, math.inf, 9.8)}, 'not finite'),
+        ({'rate': (1e6, 0.0, 0.0)}, 'beyond the sensor range'),
+        ({'force': (0.0, 0.0, 0.0)}, 'zero specific force'),
+        ({'frame': 'camera'}, "frame 'camera', expected 'base_link'"),
+    ],
+)
+def test_bad_samples_are_refused_by_name_and_leave_nothing_behind(change, reason):
+    f = AttitudeFilter()
+    samples = still(50)
+    run(f, samples[:40])
+    state = f.state.copy()
+    assert f.on_imu(samples[40]._replace(**change)) is None
+    assert np.array_equal(f.state, state)
+    assert f.tally.sensor('imu/data_raw').rejected[reason] == 1
+    assert run(f, samples[41:])
+
+
+def test_a_new_frame_is_followed_after_a_second():
+    f = AttitudeFilter()
+    run(f, still(50))
+    moved = [s._replace(frame='other') for s in still(300, start=START + 60 * STEP)]
+    assert len(run(f, moved)) > 50
+    assert f.tally.restarts == ["frame is now 'other'"]
+
+
+floats = st.one_of(st.floats(-1e3, 1e3), st.sampled_from([0.0, math.nan, math.inf, -math.inf, 1e300, -0.0]))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.integers(-3, 400), floats, floats, floats, floats), max_size=12))
+def test_no_sample_makes_it_raise_or_say_something_that_is_not_finite(wild):
+    f = AttitudeFilter()
+    run(f, still(5))
+    stamp = START + 5 * STEP
+    for offset, a, b, c, d in wild:
+        stamp = max(1, stamp + offset * STEP)
+        for e in prompt(f.on_imu(ImuSample(stamp, (a, b, 0.0), (c, d, 9.8)))):
+            assert all(map(math.isfinite, (*e.quaternion, *e.rate, *e.attitude_variance)))
+    after = still(400, start=stamp + STEP)
+    assert len(run(f, after)) > 300
+
+
+def test_a_late_sample_leaves_the_same_state_as_one_in_time():
+    samples = still(100)
+    ordered, shuffled = AttitudeFilter(), AttitudeFilter()
+    run(ordered, samples)
+    order = [*range(40), 45, 41, 44, 40, 43, 42, *range(46, 100)]
+    run(shuffled, [samples[i] for i in order])
+    assert np.array_equal(ordered.state, shuffled.state)
+
+
+def test_settled_estimates_come_a_window_later_and_once():
+    f = AttitudeFilter()
+    out = [e for s in still(300) for e in f.on_imu(s) or []]
+    settled = [e.stamp for e in out if type(e) is SettledAttitude]
+    assert settled == [START + i * STEP for i in range(len(settled))]
+    assert len(settled) == 199
+    assert sum(type(e) is RawAngle for e in out) == 300
+
+
+def test_a_long_gap_starts_the_tilt_anew_and_keeps_the_bias():
+    f = AttitudeFilter()
+    bias = (0.05, 0.0, 0.0)
+    run(f, still(300, bias=bias))
+    out = run(f, still(3, roll=0.5, bias=bias, start=START + 900 * STEP))
+    assert euler_from_quat(np.array(out[0].quaternion))[0] == pytest.approx(0.5, abs=0.03)
+    assert f.bias[0] == pytest.approx(0.05, abs=1e-3)
+    assert out[0].attitude_variance[0] > 0.01
+
+
+def hover_errors(seed, seconds=20.0):
+    """Errors over σ at the end of a flight with rotor drag; the truth is made here, not by the plant."""
+    rng = np.random.default_rng(seed)
+    p = AttitudeParams()
+    # The filter's own statistics: gyro white noise, drag noise, a velocity of order 1 m/s.
+    n, dt = round(seconds / 0.005), 0.005
+    angles = np.zeros(2)
+    v = np.zeros(2)
+    f = AttitudeFilter(p)
+    error0 = 0.02 * rng.standard_normal(2)
+    bias = 2e-3 * rng.standard_normal(3)
+    f.start(quat_from_euler(*error0, 0.0), np.zeros(3), tilt=0.02, bias_sigma=2e-3)
+    out = None
+    for i in range(n):
+        # A pilot who tilts against the velocity, so that it stays near zero.
+        wanted = np.clip(np.array([v[1], -v[0]]) * 0.15, -0.3, 0.3) + 0.05 * np.sin(0.7 * i * dt + seed)
+        rate = (wanted - angles) * 3.0
+        angles = angles + rate * dt
+        v = v + dt * (GRAVITY * np.array([angles[1], -angles[0]]) - p.drag * v)
+        noise = p.gyro_noise / math.sqrt(dt) * rng.standard_normal(3)
+        force = (
+            -p.drag * v[0] + 0.1 / math.sqrt(dt) * rng.standard_normal(),
+            -p.drag * v[1] + 0.1 / math.sqrt(dt) * rng.standard_normal(),
+            GRAVITY,
+        )
+        out = prompt(
+            f.on_imu(ImuSample(START + i * STEP, (*(rate + bias[:2] + noise[:2]), bias[2] + noise[2]), force))
+        )
+    roll, pitch, _ = euler_from_quat(np.array(out[0].quaternion))
+    sigma = np.sqrt(out[0].attitude_variance[:2])
+    return (np.array([roll, pitch]) - angles) / sigma
+
+
+def test_the_tilt_variance_does_not_promise_more_than_the_error_shows():
+    errors = np.concatenate([hover_errors(seed, 8.0) for seed in range(8)])
+    # 16 values: the mean square of honest ones stays below 1.8 in 97.5 % of cases (chi-square).
+    assert np.mean(errors**2) < 1.8
+
+
+def test_tilt_error_is_the_angle_between_the_upward_directions():
+    assert tilt_error(quat_from_euler(0.3, 0.0, 2.0), quat_from_euler(0.1, 0.0, -1.0)) == pytest.approx(0.2)

@@ -22,7 +22,7 @@ def wrap(angle):
         return angle
     # math.floor makes integers, which overflow and raise on what is not finite; np.floor keeps floats.
     wrapped = angle - 2.0 * math.pi * np.floor((angle + math.pi) / (2.0 * math.pi))
-    if wrapped >= math.pi:  # by rounding
+    if wrapped < -math.pi:  # by rounding, after many turns
         return -math.pi
     return wrapped
 
@@ -30,7 +30,8 @@ def wrap(angle):
 def wrap_array(angles) -> np.ndarray:
     """Return an array of angles (rad) of any shape wrapped to [-pi, pi)."""
     angles = np.asarray(angles, dtype=np.float64)
-    return (angles + math.pi) % (2.0 * math.pi) - math.pi
+    wrapped = (angles + math.pi) % (2.0 * math.pi) - math.pi
+    return np.where(wrapped < math.pi, wrapped, -math.pi)  # the remainder of a tiny negative is the divisor
 
 
 @njit(cache=True, nogil=True)

@@ -215,7 +215,9 @@ def test_after_a_leap_was_taken_back_what_it_settled_stays_settled():
     assert rejected(tally, 'fast') == {AHEAD: 1, TOO_OLD: 1}
 
 
-@pytest.mark.parametrize('jump', [-3 * SECOND, -(10**6) * SECOND, 11 * SECOND, 10**6 * SECOND])
+@pytest.mark.parametrize(
+    'jump', [-600 * MS, -SECOND, -3 * SECOND, -(10**6) * SECOND, 11 * SECOND, 10**6 * SECOND]
+)
 def test_a_jump_of_the_clock_restarts_after_ten_samples_and_loses_none(jump):
     reasons = []
     buffer, model, tally = make(on_restart=reasons.append)

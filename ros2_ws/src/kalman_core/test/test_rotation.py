@@ -147,6 +147,13 @@ def test_wrapping_keeps_what_is_in_the_interval_and_maps_its_open_end_to_the_clo
     assert rotation.wrap(-math.nextafter(math.pi, 4.0)) == pytest.approx(math.pi)
     assert rotation.wrap(-math.nextafter(math.pi, 4.0)) < math.pi
     assert list(rotation.wrap_array([math.pi, -math.pi, 4.0])) == [-math.pi, -math.pi, 4.0 - 2.0 * math.pi]
+    assert rotation.wrap_array(-math.nextafter(math.pi, 4.0)) == -math.pi
+
+
+def test_after_many_turns_rounding_does_not_leave_the_interval():
+    for turns in range(-4001, 4001, 2):
+        for angle in (turns * math.pi, math.nextafter(turns * math.pi, 0.0)):
+            assert -math.pi <= rotation.wrap(angle) < math.pi
 
 
 @pytest.mark.parametrize('bad', [math.inf, -math.inf, math.nan])

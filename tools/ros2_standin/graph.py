@@ -13,8 +13,9 @@ from rclpy.node import Node
 
 from ros2_standin.text import message_class, set_fields
 
-# Discovery is done when nothing new has been heard for this long (s), and at most after the limit.
-_QUIET = 1.0
+# Discovery is done when nothing new has been heard for this long (s) since the first foreign node; there is no
+# daemon that would know the graph already. An empty graph is believed after the limit.
+_QUIET = 1.5
 _LIMIT = 5.0
 
 
@@ -36,12 +37,13 @@ def temporary_node() -> Iterator[Node]:
 def _discover(node: Node) -> None:
     start = changed = time.monotonic()
     seen: tuple = ()
+    alone = len(node.get_node_names())
     while time.monotonic() - start < _LIMIT:
         rclpy.spin_once(node, timeout_sec=0.05)
         now = (tuple(node.get_node_names_and_namespaces()), tuple(map(str, node.get_topic_names_and_types())))
         if now != seen:
             seen, changed = now, time.monotonic()
-        if time.monotonic() - changed > _QUIET:
+        if len(now[0]) > alone and time.monotonic() - changed > _QUIET:
             return
 
 

@@ -62,25 +62,27 @@ class FakeBus:
         self._clock = clock
         self._spend = spend
         self._rng = np.random.default_rng(seed)
-        self._failures: list[tuple[int, int | None]] = []
-        self._short = 0
         self._open = True
-        self.stuck = False
-        self.floating = False
-        self.absent: set[int] = set()
-        self.error_rate = 0.0
         self.transfers = 0
-        self.opened = 1
+        self.clear_faults()
 
     def open(self) -> FakeBus:
         """Open the bus (again), as a driver does; a stuck bus opens all the same, as on Linux."""
         self._open = True
-        self.opened += 1
         return self
 
     def close(self) -> None:
         """Close the bus: transfers then fail with EBADF."""
         self._open = False
+
+    def clear_faults(self) -> None:
+        """Let everything work again."""
+        self._failures: list[tuple[int, int | None]] = []
+        self._short = 0
+        self.stuck = False
+        self.floating = False
+        self.absent: set[int] = set()
+        self.error_rate = 0.0
 
     def fail_next(self, count: int, code: int = errno.EREMOTEIO, after_bytes: int | None = None) -> None:
         """Let the next `count` transfers fail; with `after_bytes` a read has its effect up to there."""

@@ -329,8 +329,6 @@ def test_whatever_happens_only_commanded_pulses_come_out_and_silence_ends_idle(e
         for pulses in rig.run(seconds, command):
             for pulse in pulses:
                 assert pulse is None or min(abs(pulse - a) for a in allowed) <= COUNT
-        rig.bus.stuck = rig.bus.floating = False
-        rig.bus.absent.clear()
-        rig.bus.error_rate = 0.0
+        rig.bus.clear_faults()
     rig.run(0.6)
     np.testing.assert_allclose(rig.pulses(), 1000.0, atol=COUNT)

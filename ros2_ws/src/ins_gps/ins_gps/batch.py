@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter over arrays: the same kernels as the streaming filter, in one jitted loop between epochs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ins_gps import layout as at
+from ins_gps.filter import NANOSECONDS, NavigationFilter
+from ins_gps.prediction import imu_step
+from ins_gps.samples import Corrections, GnssEpoch, ImuSample
+from ins_gps.strapdown import NAV
+
+
+@njit(cache=True, nogil=True)
+def imu_series(state, channels, config, sec, nsec, rate, force, out):
+    """Apply (N,) stamps and (N, 3) means of rate and force; out (N, NAV) is the solution after each."""
+    for i in range(len(sec)):
+        imu_step(state, channels, config, rate[i], force[i], sec[i], nsec[i])
+        out[i] = state[at.NAVIGATION : at.NAVIGATION + NAV]
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Solution after each GNSS epoch: stamps (k,), nav (k, NAV), covariance (k, 9, 9), biases (k, 6)."""
+
+    stamps: np.ndarray
+    nav: np.ndarray
+    covariance: np.ndarray
+    biases: np.ndarray
+    imu_nav: np.ndarray
+
+
+def run_batch(
+    navigation: NavigationFilter,
+    stamps: np.ndarray,
+    rate: np.ndarray,
+    force: np.ndarray,
+    epochs: Sequence[GnssEpoch],
+    corrections: Sequence[Corrections] = (),
+) -> History:
+    """Run over IMU means (N, 3) with stamps (N,) ns and over epochs, all in order of their stamps.
+
+    A filter that is not yet running takes the IMU sample by sample until it starts. Corrections are used
+    from their own stamp on. Equal stamps: IMU first, then corrections, then the epoch.
+    """
+    sec, nsec = (stamps // NANOSECONDS).astype(float), (stamps % NANOSECONDS).astype(float)
+    imu_nav = np.full((len(stamps), NAV), np.nan)
+    records = []
+    done, given = 0, 0
+    slow = navigation.params.zero_velocity or navigation.params.non_holonomic
+    ends = np.searchsorted(stamps, [epoch.stamp for epoch in epochs], side='right')
+    for epoch, end in zip([*epochs, None], [*ends, len(stamps)], strict=True):
+        if navigation.running and not slow and navigation.params.mode != 'gps':
+            imu_series(
+                navigation.state,
+                navigation.channels,
+                navigation.config,
+                sec[done:end],
+                nsec[done:end],
+                rate[done:end],
+                force[done:end],
+                imu_nav[done:end],
+            )
+        else:
+            for i in range(done, end):
+                navigation.imu(ImuSample(int(stamps[i]), rate[i], force[i]))
+                if navigation.running:
+                    imu_nav[i] = navigation.nav
+        done = end
+        if epoch is None:
+            break
+        while given < len(corrections) and corrections[given].stamp <= epoch.stamp:
+            navigation.corrections(corrections[given])
+            given += 1
+        navigation.gnss(epoch)
+        if navigation.running:
+            state = navigation.state
+            navigation.flush()
+            records.append(
+                (
+                    epoch.stamp,
+                    navigation.nav.copy(),
+                    navigation.covariance[:9, :9].copy(),
+                    state[at.ACC_BIAS : at.GYR_BIAS + 3].copy(),
+                )
+            )
+    columns = list(zip(*records, strict=True)) if records else [[], [], [], []]
+    return History(
+        np.array(columns[0], dtype=np.int64),
+        np.array(columns[1]).reshape(-1, NAV),
+        np.array(columns[2]).reshape(-1, 9, 9),
+        np.array(columns[3]).reshape(-1, 6),
+        imu_nav,
+    )

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Channels of the tight filter: which satellite lies where in the state, its corrections and its weight."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ins_gps.constants import (
+    FREQUENCY_E5B,
+    FREQUENCY_L1,
+    FREQUENCY_L2,
+    FREQUENCY_L5,
+    SPEED_OF_LIGHT,
+)
+from ins_gps.layout import (
+    C_KEY,
+    C_MULTIPATH,
+    C_NSEC,
+    C_SEC,
+    CHANNEL,
+    CHANNEL_WIDTH,
+    CORRECTION_WIDTH,
+    HEAD,
+    K_NSEC,
+    K_RANGE,
+    K_RATE,
+    K_SEC,
+    NAVIGATION,
+    NSEC,
+    PER_CHANNEL,
+    RATE,
+    SEC,
+    SLOTS_PER_SYSTEM,
+)
+from ins_gps.orbit import range_and_rate
+from ins_gps.prediction import CONFIG_PREDICTION, covariance_of
+from kalman_core.earth import ecef_from_geodetic
+
+# Configuration columns after those of `prediction`.
+(
+    CODE_NOISE,  # m, white
+    CODE_SLOW,  # m, constant per satellite, with DGPS correction
+    CODE_SLOW_ALONE,  # m, the same without correction
+    CODE_MULTIPATH,  # m, first order
+    MULTIPATH_TIME,  # s
+    CARRIER_NOISE,  # m, white
+    CARRIER_WALK,  # m/sqrt(s)
+    DOPPLER_NOISE,  # m/s
+    LEVER_X,  # m, antenna from IMU, forward-right-down
+    LEVER_Y,
+    LEVER_Z,
+    MASK,  # rad
+    GATE,  # squared leave-one-out innovation
+    RATES,  # 0 none, 1 Doppler, 2 carrier difference between epochs, 3 carrier difference as a rate
+    WEIGHTING,  # 1: σ grows with 1/sin(elevation) and low C/N0
+    CORRECTION_AGE,  # s
+    RATE_CORRECTION,  # 1: the base's rate correction applies to the carrier difference
+    CLONES,  # 1: clone and channel states are estimated
+    LOST_TIME,  # s without any accepted code before the position starts anew
+    CN0_REFERENCE,  # dB-Hz
+    PUBLISHED_RATE_NOISE,  # m/s, of the carrier difference taken as a rate
+    CARRIER_INTERVAL,  # s, longest carrier difference
+) = range(CONFIG_PREDICTION, CONFIG_PREDICTION + 22)
+CONFIG_SIZE = CONFIG_PREDICTION + 22
+
+# What became of a row, reported per satellite.
+ROW_UNUSED, ROW_USED, ROW_CODE_REJECTED, ROW_LOW, ROW_NO_ORBIT = 0, 1, 2, 3, 4
+RATE_NONE, RATE_USED, RATE_SLIP, RATE_NEW, RATE_DOPPLER = 0, 1, 2, 3, 4
+# Columns of the per-row report and of the epoch's summary.
+REPORT_CODE, REPORT_RATE, REPORT_CODE_W, REPORT_RATE_W, REPORT_ELEVATION = 0, 1, 2, 3, 4
+REPORT_WIDTH = 5
+SUM_CODE_NIS, SUM_CODE_USED, SUM_RATE_NIS, SUM_RATE_USED, SUM_CLOCK_JUMP, SUM_RESTART = 0, 1, 2, 3, 4, 5
+SUMMARY = 6
+
+# A channel that was not seen for this long (s) starts its errors anew: the satellite has moved on.
+_FORGET = 600.0
+
+
+@njit(cache=True, nogil=True)
+def wavelength(signal):
+    """Return the wavelength (m) of a RINEX band."""
+    if signal == 2.0:
+        return SPEED_OF_LIGHT / FREQUENCY_L2
+    if signal == 5.0:
+        return SPEED_OF_LIGHT / FREQUENCY_L5
+    if signal == 7.0:
+        return SPEED_OF_LIGHT / FREQUENCY_E5B
+    return SPEED_OF_LIGHT / FREQUENCY_L1
+
+
+@njit(cache=True, nogil=True)
+def clear_error(P, index, variance):
+    """Make error `index` independent of all others, with this variance."""
+    n = P.shape[0]
+    for k in range(n):
+        P[index, k] = 0.0
+        P[k, index] = 0.0
+    P[index, index] = variance
+
+
+@njit(cache=True, nogil=True)
+def signal_key(row):
+    """Return the number, never 0, that names a row's satellite and signal."""
+    return 1.0 + row[0] * 1_000.0 + row[1] * 10.0 + row[2]
+
+
+@njit(cache=True, nogil=True)
+def channel_of(state, channels, config, key, corrected):
+    """Return the channel of satellite `key`, freeing the one unseen longest if all are taken."""
+    free, oldest = -1, -1
+    oldest_age = -1.0
+    for i in range(channels):
+        at = HEAD + i * CHANNEL_WIDTH
+        if state[at + C_KEY] == key:
+            age = state[SEC] - state[at + C_SEC]
+            if age < _FORGET:
+                return i
+            free = i
+            break
+        if state[at + C_KEY] == 0.0:
+            if free < 0:
+                free = i
+        else:
+            age = state[SEC] - state[at + C_SEC] + (state[NSEC] - state[at + C_NSEC]) * 1e-9
+            if age > oldest_age:
+                oldest, oldest_age = i, age
+    if free < 0:
+        # A satellite of this very epoch keeps its channel.
+        if oldest_age <= 0.0:
+            return -1
+        free = oldest
+    at = HEAD + free * CHANNEL_WIDTH
+    for k in range(CHANNEL_WIDTH):
+        state[at + k] = 0.0
+    state[at + C_KEY] = key
+    P = covariance_of(state, channels)
+    first = CHANNEL + PER_CHANNEL * free
+    on = config[CLONES]
+    slow = config[CODE_SLOW] if corrected else config[CODE_SLOW_ALONE]
+    clear_error(P, first, on * slow * slow)
+    clear_error(P, first + 1, on * config[CODE_MULTIPATH] * config[CODE_MULTIPATH])
+    clear_error(P, first + 2, on * config[CARRIER_NOISE] * config[CARRIER_NOISE])
+    return free
+
+
+@njit(cache=True, nogil=True)
+def decay_multipath(state, channels, config, dt):
+    """Advance the multipath states of all channels by dt (s); nothing else depends on them in between."""
+    if not (config[MULTIPATH_TIME] > 0.0 and config[CLONES] > 0.0):
+        return
+    P = covariance_of(state, channels)
+    n = P.shape[0]
+    factor = math.exp(-dt / config[MULTIPATH_TIME])
+    fresh = (1.0 - factor * factor) * config[CODE_MULTIPATH] ** 2
+    for i in range(channels):
+        at = HEAD + i * CHANNEL_WIDTH
+        if state[at + C_KEY] == 0.0:
+            continue
+        state[at + C_MULTIPATH] *= factor
+        index = CHANNEL + PER_CHANNEL * i + 1
+        for k in range(n):
+            P[index, k] *= factor
+        for k in range(n):
+            P[k, index] *= factor
+        P[index, index] += fresh
+
+
+@njit(cache=True, nogil=True)
+def antenna(state, config, mat_nb, mat_en, lever_n, out):
+    """Fill `out` (3,) with the antenna's ECEF position and `lever_n` (3,) with the lever arm in NED."""
+    nav = state[NAVIGATION : NAVIGATION + 3]
+    for i in range(3):
+        lever_n[i] = (
+            mat_nb[i, 0] * config[LEVER_X] + mat_nb[i, 1] * config[LEVER_Y] + mat_nb[i, 2] * config[LEVER_Z]
+        )
+    position = ecef_from_geodetic(nav[0], nav[1], nav[2])
+    for i in range(3):
+        out[i] = position[i]
+        for j in range(3):
+            out[i] += mat_en[i, j] * lever_n[j]
+
+
+@njit(cache=True, nogil=True)
+def antenna_velocity(state, config, mat_nb, mat_en, out):
+    """Fill `out` (3,) with the antenna's velocity in ECEF (m/s), rotation about the IMU included."""
+    w = state[RATE : RATE + 3]
+    x, y, z = config[LEVER_X], config[LEVER_Y], config[LEVER_Z]
+    b0, b1, b2 = w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x
+    v = np.empty(3)
+    for i in range(3):
+        v[i] = state[NAVIGATION + 3 + i] + mat_nb[i, 0] * b0 + mat_nb[i, 1] * b1 + mat_nb[i, 2] * b2
+    for i in range(3):
+        out[i] = mat_en[i, 0] * v[0] + mat_en[i, 1] * v[1] + mat_en[i, 2] * v[2]
+
+
+@njit(cache=True, nogil=True)
+def correction_of(state, channels, config, row):
+    """Return (range correction, rate correction, valid) of a row's satellite at the state's time."""
+    slot = int(row[0]) * SLOTS_PER_SYSTEM + int(row[1])
+    at = HEAD + channels * CHANNEL_WIDTH + slot * CORRECTION_WIDTH
+    if state[at + K_SEC] == 0.0:
+        return 0.0, 0.0, False
+    age = (state[SEC] - state[at + K_SEC]) + (state[NSEC] - state[at + K_NSEC]) * 1e-9
+    if abs(age) > config[CORRECTION_AGE]:
+        return 0.0, 0.0, False
+    return state[at + K_RANGE] + age * state[at + K_RATE], state[at + K_RATE], True
+
+
+@njit(cache=True, nogil=True)
+def store_corrections(state, channels, rows, sec, nsec):
+    """Keep a base's corrections: rows (m, 5) of `samples.CORRECTION_FIELDS`."""
+    for i in range(len(rows)):
+        slot = int(rows[i, 0]) * SLOTS_PER_SYSTEM + int(rows[i, 1])
+        at = HEAD + channels * CHANNEL_WIDTH + slot * CORRECTION_WIDTH
+        state[at + K_RANGE] = rows[i, 2]
+        state[at + K_RATE] = rows[i, 3]
+        state[at + K_SEC] = sec
+        state[at + K_NSEC] = nsec
+
+
+@njit(cache=True, nogil=True)
+def corrected_range(state, channels, config, row):
+    """Return (pseudorange free of satellite clock and modelled delays (m), rate correction, corrected)."""
+    value = row[3] + SPEED_OF_LIGHT * row[15]
+    correction, rate, valid = correction_of(state, channels, config, row)
+    if valid:
+        return value + correction, rate, True
+    if math.isfinite(row[17]):
+        value -= row[17]
+    if math.isfinite(row[18]):
+        value -= row[18]
+    return value, 0.0, False
+
+
+@njit(cache=True, nogil=True)
+def weight_of(config, elevation, cn0):
+    """Return the factor on the code variance for a low elevation (rad) or weak signal (dB-Hz)."""
+    if config[WEIGHTING] == 0.0:
+        return 1.0
+    sine = math.sin(max(elevation, 0.05))
+    factor = 0.5 + 0.5 / (sine * sine)
+    if math.isfinite(cn0) and cn0 < config[CN0_REFERENCE]:
+        factor *= 10.0 ** (0.1 * (config[CN0_REFERENCE] - cn0))
+    return factor
+
+
+@njit(cache=True, nogil=True)
+def assign(state, channels, config, rows, site, mat_en, use, report):
+    """Give each usable row its channel: use[i] is the channel or -1; report[i] says why not."""
+    zero = np.zeros(3)
+    los = np.empty(3)
+    count = 0
+    for i in range(len(rows)):
+        use[i] = -1
+        row = rows[i]
+        report[i, :] = 0.0
+        report[i, REPORT_CODE] = ROW_UNUSED
+        if not (math.isfinite(row[9] + row[10] + row[11] + row[15]) and row[9] * row[9] > 0.0):
+            report[i, REPORT_CODE] = ROW_NO_ORBIT
+            continue
+        if not math.isfinite(row[3]) and not math.isfinite(row[4]):
+            continue
+        range_and_rate(row[9:15], site, zero, los)
+        up = -(mat_en[0, 2] * los[0] + mat_en[1, 2] * los[1] + mat_en[2, 2] * los[2])
+        elevation = math.asin(min(1.0, max(-1.0, up)))
+        if elevation < config[MASK]:
+            report[i, REPORT_CODE] = ROW_LOW
+            continue
+        key = signal_key(row)
+        corrected = correction_of(state, channels, config, row)[2]
+        use[i] = channel_of(state, channels, config, key, corrected)
+        if use[i] < 0:
+            continue
+        # Seen now: cannot lose its channel to a later row of this epoch.
+        at = HEAD + use[i] * CHANNEL_WIDTH
+        state[at + C_SEC], state[at + C_NSEC] = state[SEC], state[NSEC]
+        report[i, REPORT_ELEVATION] = weight_of(config, elevation, row[6])
+        count += 1
+    return count

@@ -1,0 +1,478 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The navigation filter: start, prediction and the five couplings over one flat state array.
+
+Level frame NED, body forward-right-down. Nothing here knows of ROS or of the order of arrival;
+`estimator` adds both.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ins_gps import channels as ch
+from ins_gps import layout as at
+from ins_gps.carrier import remember_carrier
+from ins_gps.constraints import non_holonomic_update, zero_velocity_update
+from ins_gps.gnss_update import gnss_epoch
+from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, vector_update
+from ins_gps.params import FilterParams
+from ins_gps.prediction import (
+    CONFIG_PREDICTION,
+    advance_covariance,
+    covariance_of,
+    hold_to,
+    imu_step,
+)
+from ins_gps.samples import (
+    BiasEstimate,
+    Corrections,
+    FixEstimate,
+    GnssEpoch,
+    ImuSample,
+    NavigationEstimate,
+    PositionSample,
+    VelocitySample,
+)
+from ins_gps.start import PRIOR_VELOCITY, PRIOR_VELOCITY_MEASURED, start_attitude, start_velocity
+from kalman_core.earth import ecef_from_geodetic, enu_from_ecef, mat_ecef_from_ned
+from kalman_core.gates import chi2_gate
+from kalman_core.health import Tally
+from kalman_core.rotation import matrix_from_quat
+
+NANOSECONDS = 1_000_000_000
+_RATES = {'tight_doppler': 1.0, 'tight_tdcp': 2.0}
+# Gates of whole vectors at 1e-6: a loose fix has passed RAIM before.
+_GATE_POSITION = chi2_gate(3, 1e-6)
+_PRIOR_POSITION = 100.0  # m, so that the first epoch's codes decide
+_PRIOR_CLOCK = 1_000.0  # m
+_PRIOR_DRIFT = 1_000.0  # m/s: 3 ppm of an oscillator
+_PRIOR_INTERSYSTEM = 100.0  # m
+# Time constant (s) of the averages for alignment.
+_LEVEL_TIME = 1.0
+_MAX_STEP = 10.0  # s: a longer silence of the IMU ends the solution
+
+
+def config_array(params: FilterParams) -> np.ndarray:
+    """Return the kernels' configuration: columns as declared in `prediction` and `channels`."""
+    full = params.states == 'full'
+    rates = _RATES.get(params.mode, 0.0)
+    if rates == 2.0 and not full:
+        rates = 3.0
+    x, y, z = params.lever_arm
+    values = [
+        params.gyro_noise**2,
+        params.accel_noise**2,
+        params.gyro_bias_walk**2,
+        params.accel_bias_walk**2,
+        params.clock_walk**2,
+        params.drift_walk**2,
+        params.covariance_step,
+        params.imu_gap,
+        params.gap_force,
+        params.gap_rate,
+        float(full),
+        float(full),
+        params.code_noise,
+        params.code_slow,
+        params.code_slow_alone,
+        params.code_multipath,
+        params.multipath_time,
+        params.carrier_noise,
+        params.carrier_walk,
+        params.doppler_noise,
+        x,
+        -y,
+        -z,
+        params.elevation_mask,
+        chi2_gate(1, params.gate_probability) if full else math.inf,  # the paper has no gates
+        rates,
+        float(params.elevation_weighting),
+        params.correction_age,
+        float(params.rate_correction),
+        float(full),
+        params.lost_time,
+        params.cn0_reference,
+        params.published_rate_noise,
+        params.carrier_interval,
+    ]
+    assert len(values) == ch.CONFIG_SIZE
+    assert values[CONFIG_PREDICTION] == params.code_noise
+    return np.array(values)
+
+
+class NavigationFilter:
+    """Error-state filter; everything that changes lies in `state`.
+
+    Use it in time order: `imu`, `gnss`, `corrections`, `position`, `velocity`; each takes one sample. It
+    starts by itself from the first fix (see `FilterParams.alignment`) or by `initialise`.
+    """
+
+    def __init__(self, params: FilterParams, tally: Tally | None = None) -> None:
+        self.params = params
+        self.tally = tally if tally is not None else Tally()
+        self.channels = params.channels
+        self.config = config_array(params)
+        self.state = np.zeros(at.state_size(self.channels))
+        self.report = np.zeros((0, ch.REPORT_WIDTH))
+        self.summary = np.zeros(ch.SUMMARY)
+        self.rows = np.zeros((0, 19))
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the state before the first sample, in place."""
+        self.state[:] = 0.0
+        lat, lon, height = self.params.origin
+        if (lat, lon, height) != (0.0, 0.0, 0.0):
+            self.state[at.ORIGIN : at.ORIGIN + 3] = math.radians(lat), math.radians(lon), height
+            self.state[at.HAVE_ORIGIN] = 1.0
+
+    @property
+    def running(self) -> bool:
+        """Whether there is a solution."""
+        return self.state[at.STAGE] > 0.0
+
+    @property
+    def nav(self) -> np.ndarray:
+        """View of latitude, longitude (rad), height (m), velocity (m/s, NED), q_nb."""
+        return self.state[at.NAVIGATION : at.NAVIGATION + 10]
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """View of the error covariance (n, n), order of `layout`."""
+        return covariance_of(self.state, self.channels)
+
+    def initialise(self, stamp: int, nav, sigmas, clock=(0.0, 0.0), clock_sigmas=None) -> None:
+        """Start from a known solution: nav (10,), sigmas (9,) of position, velocity (m, m/s, NED), attitude.
+
+        clock: bias (m) and drift (m/s); `clock_sigmas` None: as good as unknown.
+        """
+        s, p = self.state, self.params
+        self.nav[:] = nav
+        s[at.ACC_BIAS : at.GYR_BIAS + 3] = 0.0
+        s[at.CLOCK], s[at.CLOCK_DRIFT] = clock
+        s[at.SPAN : at.SPAN_FORCE + 3] = 0.0
+        s[at.CLONE_VALID] = s[at.LOST] = s[at.INTERSYSTEM] = 0.0
+        s[at.SEC], s[at.NSEC] = divmod(stamp, NANOSECONDS)
+        P = self.covariance
+        P[:] = 0.0
+        full = self.config[ch.CLONES] > 0.0
+        diagonal = np.zeros(len(P))
+        diagonal[:9] = np.asarray(sigmas) ** 2
+        if full:
+            diagonal[at.ACC : at.ACC + 3] = p.accel_bias_sigma**2
+            diagonal[at.GYR : at.GYR + 3] = p.gyro_bias_sigma**2
+        bias_sigma, drift_sigma = clock_sigmas or (_PRIOR_CLOCK, _PRIOR_DRIFT)
+        diagonal[at.CLK] = bias_sigma**2
+        if full:
+            diagonal[at.DRIFT] = drift_sigma**2
+        else:
+            s[at.CLOCK_DRIFT] = 0.0
+        diagonal[at.ISB] = _PRIOR_INTERSYSTEM**2
+        np.fill_diagonal(P, diagonal)
+        for i in range(self.channels):
+            s[at.HEAD + i * at.CHANNEL_WIDTH] = 0.0
+        if s[at.HAVE_ORIGIN] == 0.0:
+            s[at.ORIGIN : at.ORIGIN + 3] = nav[:3]
+            s[at.HAVE_ORIGIN] = 1.0
+        s[at.STAGE] = 1.0
+
+    def imu(self, sample: ImuSample) -> NavigationEstimate | None:
+        """Advance to the sample's stamp; None before there is a solution."""
+        s = self.state
+        sec, nsec = divmod(sample.stamp, NANOSECONDS)
+        if not (np.isfinite(sample.rate).all() and np.isfinite(sample.force).all()):
+            self.tally.reject('imu', 'not finite')
+            return None
+        if s[at.IMU_SEC] > 0.0 and sample.stamp <= _stamp(s[at.IMU_SEC], s[at.IMU_NSEC]):
+            self.tally.reject('imu', 'not newer than the last')
+            return None
+        self._average(sample, sec, nsec)
+        s[at.IMU_SEC], s[at.IMU_NSEC] = sec, nsec
+        self.tally.accept('imu', sample.stamp)
+        if not self.running or self.params.mode == 'gps':
+            return None
+        if sample.stamp - _stamp(s[at.SEC], s[at.NSEC]) > _MAX_STEP * NANOSECONDS:
+            self.tally.restart('no IMU for more than 10 s')
+            s[at.STAGE] = 0.0
+            return None
+        imu_step(s, self.channels, self.config, sample.rate, sample.force, sec, nsec)
+        self._constrain(sample.stamp)
+        return self.estimate(sample.stamp)
+
+    def _average(self, sample: ImuSample, sec: int, nsec: int) -> None:
+        s = self.state
+        if s[at.ALIGN_COUNT] == 0.0:
+            weight = 1.0
+        else:
+            dt = (sec - s[at.IMU_SEC]) + (nsec - s[at.IMU_NSEC]) * 1e-9
+            weight = min(1.0, max(dt, 0.0) / _LEVEL_TIME + 1.0 / (1.0 + s[at.ALIGN_COUNT]))
+        s[at.ALIGN_FORCE : at.ALIGN_FORCE + 3] += weight * (
+            sample.force - s[at.ALIGN_FORCE : at.ALIGN_FORCE + 3]
+        )
+        s[at.ALIGN_RATE : at.ALIGN_RATE + 3] += weight * (sample.rate - s[at.ALIGN_RATE : at.ALIGN_RATE + 3])
+        s[at.ALIGN_COUNT] += 1.0
+
+    def _constrain(self, stamp: int) -> None:
+        p = self.params
+        if p.zero_velocity:
+            used = zero_velocity_update(self.state, self.channels, self.config, p.zero_velocity_sigma)
+            if used > 0:
+                self.tally.accept('zero velocity', stamp)
+        if p.non_holonomic:
+            used = non_holonomic_update(self.state, self.channels, self.config, p.non_holonomic_sigma)
+            if used > 0:
+                self.tally.accept('non-holonomic', stamp)
+            elif used < 0:
+                self.tally.reject('non-holonomic', 'gate')
+
+    def corrections(self, sample: Corrections) -> None:
+        """Keep DGPS corrections until they are too old."""
+        sec, nsec = divmod(sample.stamp, NANOSECONDS)
+        good = _valid_satellites(sample.rows) & np.isfinite(sample.rows[:, 2:4]).all(axis=1)
+        ch.store_corrections(self.state, self.channels, sample.rows[good], sec, nsec)
+        self.tally.accept('corrections', sample.stamp)
+        for _ in range(int((~good).sum())):
+            self.tally.reject('corrections', 'unknown satellite or not finite')
+
+    def gnss(self, sample: GnssEpoch) -> FixEstimate | None:
+        """Use one epoch of observations; None before there is a solution."""
+        rows = sample.rows
+        good = _valid_satellites(rows)
+        if not good.all():
+            for _ in range(int((~good).sum())):
+                self.tally.reject('gnss', 'unknown satellite or signal')
+            rows = rows[good]
+        s = self.state
+        sec, nsec = divmod(sample.stamp, NANOSECONDS)
+        since = (sec - s[at.EPOCH_SEC]) + (nsec - s[at.EPOCH_NSEC]) * 1e-9 if s[at.HAVE_EPOCH] else 0.0
+        if s[at.HAVE_EPOCH] and since <= 0.0:
+            self.tally.reject('gnss', 'not newer than the last epoch')
+            return None
+        if self.params.mode == 'gps':
+            return self._gps_only(sample.stamp, rows, since)
+        if not self.running:
+            self._start(sample.stamp, rows, since)
+            if not self.running or self.params.mode == 'ins':
+                return None
+        if self.params.mode == 'ins':
+            hold_to(s, self.channels, self.config, sec, nsec)
+            return None
+        if self.params.mode == 'loose':
+            self._loose(sample.stamp, rows, since)
+        else:
+            self._tight(sample.stamp, rows)
+        return self._fix_estimate(sample.stamp) if self.running else None
+
+    def _tight(self, stamp: int, rows: np.ndarray) -> None:
+        report = np.zeros((len(rows), ch.REPORT_WIDTH))
+        summary = self.summary
+        sec, nsec = divmod(stamp, NANOSECONDS)
+        gnss_epoch(self.state, self.channels, self.config, rows, sec, nsec, report, summary)
+        self.rows, self.report = rows, report
+        if self.tally.muted:
+            return
+        self._count(stamp, report)
+        if summary[ch.SUM_CLOCK_JUMP] != 0.0:
+            self.tally.restart(f'receiver clock jumped by {summary[ch.SUM_CLOCK_JUMP]:.0f} m')
+        if summary[ch.SUM_RESTART] > 0.0:
+            self._restart_position(stamp, rows)
+
+    def _restart_position(self, stamp: int, rows: np.ndarray) -> None:
+        fix = epoch_fix(self.state, self.channels, self.config, self.params, rows, 0.0)
+        self.state[at.LOST] = 0.0
+        if fix is None:
+            return
+        self.tally.restart(f'most codes rejected for {self.params.lost_time:g} s: position starts anew')
+        nav = self.nav.copy()
+        nav[:3] = fix.geodetic
+        attitude = np.sqrt(np.maximum(np.diag(self.covariance)[at.ATT : at.ATT + 3], 1e-4))
+        sigmas = np.r_[[_PRIOR_POSITION] * 3, [PRIOR_VELOCITY_MEASURED] * 3, attitude]
+        if fix.velocity is not None:
+            nav[3:6] = mat_ecef_from_ned(nav[0], nav[1]).T @ fix.velocity.position
+        self.initialise(stamp, nav, sigmas, (fix.position.clock, self.state[at.CLOCK_DRIFT]))
+
+    def _count(self, stamp: int, report: np.ndarray) -> None:
+        tally, gate = self.tally, float(self.config[ch.GATE])
+        for code, rate, code_w, rate_w, _ in report:
+            if code == ch.ROW_USED:
+                tally.accept('gnss/code', stamp, code_w**2, gate)
+            elif code == ch.ROW_CODE_REJECTED:
+                tally.reject('gnss/code', 'innovation gate')
+            elif code == ch.ROW_LOW:
+                tally.reject('gnss/code', 'below the elevation mask')
+            elif code == ch.ROW_NO_ORBIT:
+                tally.reject('gnss/code', 'no ephemeris')
+            if rate == ch.RATE_USED:
+                tally.accept('gnss/carrier', stamp, rate_w**2, gate)
+            elif rate == ch.RATE_DOPPLER:
+                tally.accept('gnss/doppler', stamp, rate_w**2, gate)
+            elif rate == ch.RATE_SLIP:
+                tally.reject('gnss/carrier', 'cycle slip')
+
+    def _loose(self, stamp: int, rows: np.ndarray, since: float) -> None:
+        s = self.state
+        sec, nsec = divmod(stamp, NANOSECONDS)
+        hold_to(s, self.channels, self.config, sec, nsec)
+        start = ecef_from_geodetic(*self.nav[:3])
+        fix = epoch_fix(s, self.channels, self.config, self.params, rows, since, start)
+        s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
+        remember_carrier(s, self.channels, self.config, rows)
+        if fix is None:
+            self.tally.reject('gnss/fix', 'no consistent fix')
+            return
+        self._use_position(stamp, fix.geodetic, ned_covariance(fix.position, fix.geodetic), 'gnss/fix')
+        # The paper's loose coupling knows positions only.
+        if fix.velocity is not None and self.params.states == 'full':
+            mat = mat_ecef_from_ned(fix.geodetic[0], fix.geodetic[1])
+            covariance = mat.T @ fix.velocity.covariance[:3, :3] @ mat
+            self._use_velocity(stamp, mat.T @ fix.velocity.position, covariance, 'gnss/fix velocity')
+
+    def _use_position(self, stamp: int, geodetic, covariance, name: str) -> bool:
+        s = self.state
+        mat_en = mat_ecef_from_ned(self.nav[0], self.nav[1])
+        lever_n, site = np.empty(3), np.empty(3)
+        ch.antenna(s, self.config, matrix_from_quat(self.nav[6:10]), mat_en, lever_n, site)
+        nu = mat_en.T @ (ecef_from_geodetic(*geodetic) - site)
+        H = np.zeros((3, len(self.covariance)))
+        H[:, at.POS : at.POS + 3] = np.eye(3)
+        x, y, z = lever_n
+        H[:, at.ATT : at.ATT + 3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        return self._vector(stamp, H, nu, covariance, name)
+
+    def _use_velocity(self, stamp: int, velocity, covariance, name: str) -> bool:
+        s = self.state
+        mat_nb = matrix_from_quat(self.nav[6:10])
+        now = np.empty(3)
+        ch.antenna_velocity(s, self.config, mat_nb, np.eye(3), now)
+        H = np.zeros((3, len(self.covariance)))
+        H[:, at.VEL : at.VEL + 3] = np.eye(3)
+        return self._vector(stamp, H, velocity - now, covariance, name)
+
+    def _vector(self, stamp: int, H, nu, covariance, name: str) -> bool:
+        gate = math.inf if self.state[at.LOST] > self.params.lost_time else _GATE_POSITION
+        nis, used = vector_update(self.state, self.channels, H, nu, covariance, gate)
+        if used:
+            if gate == math.inf:
+                self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
+            self.state[at.LOST] = 0.0
+            self.tally.accept(name, stamp, nis, _GATE_POSITION)
+        else:
+            self.tally.reject(name, 'innovation gate')
+        return used
+
+    def position(self, sample: PositionSample) -> FixEstimate | None:
+        """Use a fix from elsewhere (loose coupling); it also starts the filter."""
+        sec, nsec = divmod(sample.stamp, NANOSECONDS)
+        s = self.state
+        if not self.running:
+            self._start_from(sample.stamp, sample.geodetic, sample.covariance, None)
+            return self._fix_estimate(sample.stamp) if self.running else None
+        hold_to(s, self.channels, self.config, sec, nsec)
+        since = (sec - s[at.EPOCH_SEC]) + (nsec - s[at.EPOCH_NSEC]) * 1e-9 if s[at.HAVE_EPOCH] else 0.0
+        s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
+        if not self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'fix'):
+            s[at.LOST] += since
+        return self._fix_estimate(sample.stamp)
+
+    def velocity(self, sample: VelocitySample) -> None:
+        """Use a velocity from elsewhere; before the start it is kept for the alignment."""
+        s = self.state
+        sec, nsec = divmod(sample.stamp, NANOSECONDS)
+        if not self.running:
+            s[at.START_VELOCITY : at.START_VELOCITY + 3] = sample.velocity
+            s[at.START_SEC] = sec
+            return
+        hold_to(s, self.channels, self.config, sec, nsec)
+        self._use_velocity(sample.stamp, sample.velocity, sample.covariance, 'velocity')
+
+    def _gps_only(self, stamp: int, rows: np.ndarray, since: float) -> FixEstimate | None:
+        s = self.state
+        fix = epoch_fix(s, self.channels, self.config, self.params, rows, since)
+        sec, nsec = divmod(stamp, NANOSECONDS)
+        s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
+        s[at.SEC], s[at.NSEC] = sec, nsec
+        if fix is None:
+            remember_carrier(s, self.channels, self.config, rows)
+            self.tally.reject('gnss/fix', 'no consistent fix')
+            return None
+        sigmas = np.full(9, math.pi)
+        velocity = np.zeros(3)
+        mat = mat_ecef_from_ned(fix.geodetic[0], fix.geodetic[1])
+        velocity_covariance = np.eye(3) * PRIOR_VELOCITY**2
+        if fix.velocity is not None:
+            velocity = mat.T @ fix.velocity.position
+            velocity_covariance = mat.T @ fix.velocity.covariance[:3, :3] @ mat
+        self.initialise(stamp, np.r_[fix.geodetic, velocity, 1.0, 0.0, 0.0, 0.0], sigmas)
+        P = self.covariance
+        P[at.POS : at.POS + 3, at.POS : at.POS + 3] = ned_covariance(fix.position, fix.geodetic)
+        P[at.VEL : at.VEL + 3, at.VEL : at.VEL + 3] = velocity_covariance
+        remember_carrier(s, self.channels, self.config, rows)
+        self.tally.accept('gnss/fix', stamp, fix.position.statistic)
+        return self._fix_estimate(stamp)
+
+    def _start(self, stamp: int, rows: np.ndarray, since: float) -> None:
+        fix = epoch_fix(self.state, self.channels, self.config, self.params, rows, since)
+        s = self.state
+        sec, nsec = divmod(stamp, NANOSECONDS)
+        if fix is None:
+            self.tally.reject('gnss/fix', 'no consistent fix to start from')
+        else:
+            spread = np.eye(3) * _PRIOR_POSITION**2
+            if self.params.mode == 'loose':
+                spread = ned_covariance(fix.position, fix.geodetic)
+            self._start_from(stamp, fix.geodetic, spread, fix)
+        s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
+        if not self.running:
+            s[at.SEC], s[at.NSEC] = sec, nsec
+            remember_carrier(s, self.channels, self.config, rows)
+
+    def _start_from(self, stamp: int, geodetic, covariance, fix: EpochFix | None) -> None:
+        velocity, velocity_sigma = start_velocity(self.state, stamp, geodetic, fix)
+        attitude = start_attitude(self.state, self.params, velocity, velocity_sigma)
+        if attitude is None:
+            self.tally.reject('gnss/fix', 'waiting for an attitude to start from')
+            return
+        q_nb, attitude_sigmas = attitude
+        nav = np.r_[geodetic, velocity, q_nb]
+        clock = (fix.position.clock, 0.0) if fix is not None else (0.0, 0.0)
+        if fix is not None and fix.velocity is not None:
+            clock = (clock[0], fix.velocity.clock)
+        sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, attitude_sigmas]
+        self.initialise(stamp, nav, sigmas, clock)
+        self.covariance[at.POS : at.POS + 3, at.POS : at.POS + 3] = covariance
+
+    def estimate(self, stamp: int) -> NavigationEstimate:
+        """Return what the filter knows now."""
+        s, nav = self.state, self.nav.copy()
+        origin = s[at.ORIGIN : at.ORIGIN + 3].copy()
+        enu = enu_from_ecef(ecef_from_geodetic(nav[0], nav[1], nav[2]), origin[0], origin[1], origin[2])
+        rate, covariance = s[at.RATE : at.RATE + 3].copy(), self.covariance[:9, :9].copy()
+        return NavigationEstimate(stamp, nav[:3], origin, enu, nav[3:6], nav[6:10], rate, covariance)
+
+    def _fix_estimate(self, stamp: int) -> FixEstimate:
+        P = self.covariance[:3, :3]
+        order = [1, 0, 2]
+        enu = P[np.ix_(order, order)] * np.array([[1.0, 1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+        return FixEstimate(stamp, self.nav[:3].copy(), enu)
+
+    def biases(self, stamp: int) -> BiasEstimate:
+        """Return sensor biases and clock with their σ."""
+        s = self.state
+        values = np.r_[s[at.ACC_BIAS : at.GYR_BIAS + 3], s[at.CLOCK], s[at.CLOCK_DRIFT]]
+        sigmas = np.sqrt(np.maximum(np.diag(self.covariance)[at.ACC : at.DRIFT + 1], 0.0))
+        return BiasEstimate(stamp, values, sigmas)
+
+    def flush(self) -> None:
+        """Bring the covariance up to the newest sample."""
+        advance_covariance(self.state, self.channels, self.config)
+
+
+def _stamp(sec: float, nsec: float) -> int:
+    return int(sec) * NANOSECONDS + int(nsec)
+
+
+def _valid_satellites(rows: np.ndarray) -> np.ndarray:
+    system, satellite = rows[:, 0], rows[:, 1]
+    return ((system == 0.0) | (system == 1.0)) & (satellite >= 1.0) & (satellite < at.SLOTS_PER_SYSTEM)

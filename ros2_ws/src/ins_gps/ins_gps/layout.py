@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where everything lies in the filter's one flat state array, and the order of its error states.
+
+Error state (truth = estimate + error): position (m, NED) 0-2, velocity (m/s, NED) 3-5, attitude (rad, NED,
+q_true = exp(error) q) 6-8, accelerometer bias 9-11, gyro bias 12-14, receiver clock (m) 15, clock drift
+(m/s) 16, inter-system bias (m) 17, clone of the previous epoch: antenna position (m, NED) 18-20 and clock
+(m) 21; then per channel: slow range error (m), multipath (m), carrier noise of the last epoch (m).
+"""
+
+# Error states.
+POS, VEL, ATT, ACC, GYR, CLK, DRIFT, ISB, CLONE, CLONE_CLK, CHANNEL = 0, 3, 6, 9, 12, 15, 16, 17, 18, 21, 22
+NAV_STATES = 17  # those that the transition couples: position ... drift
+PER_CHANNEL = 3
+
+# Head of the flat array.
+SEC, NSEC, STAGE = 0, 1, 2
+NAVIGATION = 3  # NAV values: latitude, longitude, height, velocity, q_nb
+ACC_BIAS, GYR_BIAS = 13, 16
+CLOCK, CLOCK_DRIFT, INTERSYSTEM = 19, 20, 21
+RATE, FORCE, HAVE_IMU = 22, 25, 28  # the last sample, bias-free
+SPAN, SPAN_FORCE = 29, 30  # s and m/s since the covariance was advanced
+CLONE_POS, CLONE_CLOCK, CLONE_SEC, CLONE_NSEC, CLONE_VALID = 33, 36, 37, 38, 39
+EPOCH_SEC, EPOCH_NSEC, HAVE_EPOCH = 40, 41, 42
+LOST = 43  # s for which no code was accepted although satellites were there
+ALIGN_COUNT, ALIGN_FORCE, ALIGN_RATE = 44, 45, 48
+ORIGIN, HAVE_ORIGIN = 51, 54
+IMU_SEC, IMU_NSEC = 55, 56
+STILL, ZERO_USED, CONSTRAINED = 57, 58, 59  # s: still since; last update of either kind
+START_VELOCITY, START_SEC = 60, 63
+HEAD = 64
+
+# One channel.
+C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_REJECTED = (
+    0, 1, 2, 3, 4, 7, 8, 9, 10, 11,
+)  # fmt: skip
+CHANNEL_WIDTH = 12
+
+# DGPS corrections: one slot per satellite that can exist.
+SLOTS_PER_SYSTEM = 40
+CORRECTION_SLOTS = 2 * SLOTS_PER_SYSTEM
+K_RANGE, K_RATE, K_SEC, K_NSEC = 0, 1, 2, 3
+CORRECTION_WIDTH = 4
+
+
+def error_states(channels: int) -> int:
+    """Return the number of error states with this many channels."""
+    return CHANNEL + PER_CHANNEL * channels
+
+
+def state_size(channels: int) -> int:
+    """Return the length of the flat array with this many channels."""
+    n = error_states(channels)
+    return HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH + n * n

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fix of an epoch for loose coupling and for the start, and the vector update that takes it.
+
+Source: Groves, 2nd ed., 14.3.1 (loose coupling with lever arm).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ins_gps.channels import corrected_range, signal_key, wavelength
+from ins_gps.constants import SPEED_OF_LIGHT
+from ins_gps.correction import ACCEPTED, joint_update
+from ins_gps.fix import OK, Fix, solve_position, solve_velocity
+from ins_gps.layout import C_KEY, C_PHASE, C_SATCLK, CHANNEL_WIDTH, HEAD
+from ins_gps.orbit import azimuth_elevation, range_and_rate
+from ins_gps.prediction import covariance_of, inject
+from kalman_core.earth import geodetic_from_ecef, mat_ecef_from_ned
+
+
+class EpochFix(NamedTuple):
+    """Position fix, geodetic position (rad, rad, m), velocity fix (or None) and σ of the codes."""
+
+    position: Fix
+    geodetic: np.ndarray
+    velocity: Fix | None
+
+
+def code_sigma(params) -> float:
+    """Return σ (m) of one code at the zenith, all its errors together."""
+    return math.sqrt(params.code_noise**2 + params.code_slow**2 + params.code_multipath**2)
+
+
+def _weights(rows, sites, params) -> tuple[np.ndarray, np.ndarray]:
+    """Return the factors on σ and a mask of satellites above the elevation mask."""
+    lat, lon, _ = geodetic_from_ecef(sites)
+    factor, above = np.ones(len(rows)), np.ones(len(rows), bool)
+    los, zero = np.empty(3), np.zeros(3)
+    for i, row in enumerate(rows):
+        if not np.isfinite(row[9:12]).all():
+            continue
+        range_and_rate(row[9:15], sites, zero, los)
+        elevation = azimuth_elevation(los, lat, lon)[1]
+        above[i] = elevation >= params.elevation_mask
+        if params.elevation_weighting:
+            sine = math.sin(max(elevation, 0.05))
+            factor[i] = math.sqrt(0.5 + 0.5 / sine**2)
+    return factor, above
+
+
+def epoch_fix(state, channels: int, config, params, rows, since: float, start=None) -> EpochFix | None:
+    """Return the fix of one epoch, or None if there is none.
+
+    rows: (m, OBSERVATION_COLUMNS). Velocity comes from Doppler; where a satellite has none, from the
+    carrier's change over the `since` seconds since the last epoch (0: unknown).
+    """
+    rows = rows[rows[:, 2] == 1.0]
+    if len(rows) < 4:
+        return None
+    satellites, system = rows[:, 9:15], rows[:, 0]
+    ranges = np.array([corrected_range(state, channels, config, row)[0] for row in rows])
+    base = code_sigma(params)
+    first = solve_position(satellites, ranges, np.full(len(rows), base), system, start)
+    if first.status != OK:
+        return None
+    factor, above = _weights(rows, first.position, params)
+    ranges[~above] = np.nan
+    fix = solve_position(satellites, ranges, base * factor, system, first.position)
+    if fix.status != OK:
+        return None
+    geodetic = np.array(geodetic_from_ecef(fix.position))
+    rates = np.array([_rate(state, channels, row, since) for row in rows])
+    rates[~above] = np.nan
+    velocity = solve_velocity(satellites, rates, params.doppler_noise * factor, system, fix.position)
+    return EpochFix(fix, geodetic, velocity if velocity.status == OK else None)
+
+
+def _rate(state, channels: int, row, since: float) -> float:
+    """Return a range rate free of the satellite clock (m/s), NaN if none."""
+    if math.isfinite(row[5]):
+        return -row[5] * wavelength(row[2]) + SPEED_OF_LIGHT * row[16]
+    key = signal_key(row)
+    for i in range(channels):
+        at = HEAD + i * CHANNEL_WIDTH
+        if state[at + C_KEY] == key and state[at + C_PHASE] != 0.0 and since > 0.0 and not row[8] > 0.0:
+            change = row[4] * wavelength(row[2]) - state[at + C_PHASE]
+            return (change + SPEED_OF_LIGHT * row[15] - state[at + C_SATCLK]) / since
+    return math.nan
+
+
+@njit(cache=True, nogil=True)
+def vector_update(state, channels, H, nu, covariance, gate):
+    """Correct with a vector of at most a few correlated measurements; return (NIS, whether it was used).
+
+    H: (m, n), nu: (m,), covariance: (m, m). Judged as a whole: `gate` limits the NIS with m degrees of
+    freedom.
+    """
+    P = covariance_of(state, channels)
+    n = P.shape[0]
+    m = len(nu)
+    S = H @ P @ H.T + covariance
+    nis = nu @ np.linalg.solve(S, nu)
+    if not nis <= gate:
+        return nis, False
+    L = np.linalg.cholesky(covariance)
+    white_H = np.linalg.solve(L, H)
+    white_nu = np.linalg.solve(L, nu)
+    dx = np.zeros(n)
+    status = np.full(m, ACCEPTED, np.int64)
+    joint_update(P, white_H, white_nu, np.ones(m), status, np.inf, dx, np.zeros(m), np.zeros((m, m)))
+    inject(state, channels, dx)
+    return nis, True
+
+
+def ned_covariance(fix: Fix, geodetic: np.ndarray) -> np.ndarray:
+    """Return the covariance (3, 3) of a fix in NED."""
+    mat = mat_ecef_from_ned(geodetic[0], geodetic[1])
+    return mat.T @ fix.covariance[:3, :3] @ mat

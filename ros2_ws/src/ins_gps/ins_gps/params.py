@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the navigation filter and of the sensors' nodes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from kalman_core.parameters import ParameterError, parameter
+
+MODES = ('ins', 'gps', 'loose', 'tight_doppler', 'tight_tdcp', 'tight_code')
+
+
+@dataclass(frozen=True, slots=True)
+class FilterParams:
+    """The filter; defaults fit a MEMS IMU and an ordinary single-frequency receiver."""
+
+    mode: str = parameter('tight_tdcp', 'what is coupled, and how', choices=MODES)
+    states: str = parameter(
+        'full', 'published: 10 states, carrier difference as a rate', choices=('published', 'full')
+    )
+    channels: int = parameter(20, 'satellite signals that can be tracked at once', minimum=4, maximum=48)
+    event_window: float = parameter(
+        0.5, 'largest delay of arrival that is repaired', unit='s', minimum=0.0, maximum=5.0
+    )
+    gyro_noise: float = parameter(1e-4, 'white noise of the rates', unit='rad/s/√Hz', minimum=0.0)
+    accel_noise: float = parameter(2e-3, 'white noise of the specific force', unit='m/s²/√Hz', minimum=0.0)
+    gyro_bias_walk: float = parameter(1e-6, 'random walk of the gyro bias', unit='rad/s/√s', minimum=0.0)
+    accel_bias_walk: float = parameter(1e-4, 'random walk of the accel bias', unit='m/s²/√s', minimum=0.0)
+    gyro_bias_sigma: float = parameter(3e-3, 'gyro bias at the start, one σ', unit='rad/s', minimum=0.0)
+    accel_bias_sigma: float = parameter(
+        0.1, 'accelerometer bias at the start, one σ', unit='m/s²', minimum=0.0
+    )
+    imu_gap: float = parameter(0.1, 'longer steps count as a gap of the IMU', unit='s', minimum=0.005)
+    gap_force: float = parameter(2.0, 'acceleration possible in a gap, one σ', unit='m/s²', minimum=0.0)
+    gap_rate: float = parameter(0.3, 'turn rate possible in a gap, one σ', unit='rad/s', minimum=0.0)
+    covariance_step: float = parameter(
+        0.1, 'interval at which the covariance is advanced', unit='s', minimum=0.001, maximum=1.0
+    )
+    clock_walk: float = parameter(0.03, 'random walk of the receiver clock', unit='m/√s', minimum=0.0)
+    drift_walk: float = parameter(0.05, 'random walk of the clock drift', unit='m/s/√s', minimum=0.0)
+    code_noise: float = parameter(1.0, 'white noise of the code', unit='m', minimum=1e-4)
+    code_slow: float = parameter(
+        0.5, 'constant range error of a satellite after DGPS correction, one σ', unit='m', minimum=0.0
+    )
+    code_slow_alone: float = parameter(
+        2.5, 'the same without correction (orbit, clock, atmosphere)', unit='m', minimum=0.0
+    )
+    code_multipath: float = parameter(1.0, 'first-order multipath of the code, one σ', unit='m', minimum=0.0)
+    multipath_time: float = parameter(60.0, 'its correlation time', unit='s', minimum=0.1)
+    carrier_noise: float = parameter(0.003, 'white noise of the carrier', unit='m', minimum=1e-6)
+    carrier_walk: float = parameter(0.002, 'random walk of the carrier', unit='m/√s', minimum=0.0)
+    doppler_noise: float = parameter(0.1, 'white noise of the Doppler', unit='m/s', minimum=1e-4)
+    published_rate_noise: float = parameter(
+        0.1, 'of the carrier difference taken as a rate', unit='m/s', minimum=1e-4
+    )
+    elevation_weighting: bool = parameter(True, 'σ of code and Doppler grow at low elevation and weak signal')
+    cn0_reference: float = parameter(42.0, 'signals weaker than this weigh less', unit='dB-Hz', minimum=0.0)
+    elevation_mask: float = parameter(
+        math.radians(10.0), 'satellites below are not used', unit='rad', minimum=-1.6, maximum=1.5
+    )
+    gate_probability: float = parameter(
+        1e-4, 'false rejection of one good satellite', minimum=1e-12, maximum=0.1
+    )
+    lost_time: float = parameter(
+        10.0, 'time with most codes rejected after which position and clock start anew', unit='s', minimum=1.0
+    )
+    carrier_interval: float = parameter(
+        3.0, 'longest time between epochs that a carrier difference bridges', unit='s', minimum=0.01
+    )
+    correction_age: float = parameter(
+        30.0, 'DGPS corrections older than this are not used', unit='s', minimum=0.1
+    )
+    rate_correction: bool = parameter(
+        False, "the base's rate corrections apply to the carrier difference (needed under SA)"
+    )
+    lever_arm: tuple = parameter(
+        (0.0, 0.0, 0.0), 'antenna from the IMU, forward, left, up', unit='m', minimum=-100.0, maximum=100.0
+    )
+    alignment: str = parameter(
+        'velocity',
+        'given: initial_attitude; static: level from gravity, yaw given; velocity: yaw from the course',
+        choices=('given', 'static', 'velocity'),
+    )
+    initial_attitude: tuple = parameter(
+        (0.0, 0.0, 0.0),
+        'roll, pitch, yaw of base_link in ENU at the start',
+        unit='rad',
+        minimum=-7.0,
+        maximum=7.0,
+    )
+    initial_tilt_sigma: float = parameter(
+        0.02, 'roll and pitch at the start, one σ', unit='rad', minimum=1e-6
+    )
+    initial_yaw_sigma: float = parameter(0.2, 'yaw at the start, one σ', unit='rad', minimum=1e-6)
+    alignment_speed: float = parameter(
+        1.0, 'least horizontal speed for a yaw from the course', unit='m/s', minimum=0.1
+    )
+    zero_velocity: bool = parameter(False, 'zero-velocity updates while the IMU is still')
+    zero_velocity_sigma: float = parameter(0.02, 'velocity while still, one σ', unit='m/s', minimum=1e-4)
+    non_holonomic: bool = parameter(False, 'a road vehicle moves along its forward axis')
+    non_holonomic_sigma: float = parameter(
+        0.2, 'its lateral and vertical velocity, one σ', unit='m/s', minimum=1e-3
+    )
+    origin: tuple = parameter(
+        (0.0, 0.0, 0.0), 'origin of the local frame, latitude °, longitude °, height m; all 0: the first fix'
+    )
+    map_frame: str = parameter('map', 'frame of the local east-north-up coordinates')
+    body_frame: str = parameter('base_link', 'frame of the IMU, forward, left, up')
+
+    def __post_init__(self) -> None:
+        if not -90.0 <= self.origin[0] <= 90.0:
+            raise ParameterError(f"parameter 'origin' has latitude {self.origin[0]:g}, allowed: -90 … 90")

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prediction kernels of the error-state filter: nominal state at IMU rate, covariance at a lower one.
+
+Source: Groves, 2nd ed., sections 14.2.4 (error dynamics in NED) and 3.3.1 (prediction); paper 003 eq. 11.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ins_gps.layout import (
+    ACC,
+    ACC_BIAS,
+    ATT,
+    C_MULTIPATH,
+    C_NOISE,
+    C_SLOW,
+    CHANNEL,
+    CHANNEL_WIDTH,
+    CLK,
+    CLOCK,
+    CLOCK_DRIFT,
+    CLONE,
+    CLONE_CLK,
+    CLONE_CLOCK,
+    CLONE_POS,
+    CORRECTION_SLOTS,
+    CORRECTION_WIDTH,
+    DRIFT,
+    FORCE,
+    GYR,
+    GYR_BIAS,
+    HAVE_IMU,
+    HEAD,
+    INTERSYSTEM,
+    ISB,
+    NAV_STATES,
+    NAVIGATION,
+    NSEC,
+    PER_CHANNEL,
+    POS,
+    RATE,
+    SEC,
+    SPAN,
+    SPAN_FORCE,
+    VEL,
+)
+from ins_gps.strapdown import NAV, increments, mechanise, navigation_rates
+from kalman_core.earth import gravity, radii
+from kalman_core.rotation import matrix_from_quat, quat_from_rotvec, quat_multiply, quat_normalize
+
+# Columns of the configuration array that the kernels read.
+(
+    Q_GYRO,  # (rad/s)^2/Hz
+    Q_ACCEL,  # (m/s^2)^2/Hz
+    Q_GYRO_BIAS,  # (rad/s)^2/s
+    Q_ACCEL_BIAS,  # (m/s^2)^2/s
+    Q_CLOCK,  # m^2/s
+    Q_DRIFT,  # (m/s)^2/s
+    COVARIANCE_STEP,  # s
+    GAP,  # s
+    GAP_FORCE,  # m/s^2
+    GAP_RATE,  # rad/s
+    BIASES,  # 1: the bias states are estimated
+    DRIFTS,  # 1: the clock drift is a state
+) = range(12)
+CONFIG_PREDICTION = 12
+
+
+@njit(cache=True, nogil=True)
+def covariance_of(state, channels):
+    """Return the view (n, n) of the covariance within the flat array."""
+    n = CHANNEL + PER_CHANNEL * channels
+    start = HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH
+    return state[start : start + n * n].reshape((n, n))
+
+
+@njit(cache=True, nogil=True)
+def error_dynamics(nav, force_n, mat_nb, F):
+    """Fill F (NAV_STATES, NAV_STATES) of ``d error/dt = F error`` at `nav`.
+
+    force_n: (3,) specific force in NED (m/s^2); mat_nb: (3, 3) attitude.
+    """
+    F[:, :] = 0.0
+    rates = np.empty(6)
+    navigation_rates(nav[0], nav[2], nav[3], nav[4], rates)
+    meridian, normal = radii(nav[0])
+    rm, rn = meridian + nav[2], normal + nav[2]
+    tan = math.tan(nav[0])
+    ex, ey, ez = rates[3], rates[4], rates[5]
+    ix, iy, iz = rates[0] + ex, rates[1] + ey, rates[2] + ez
+    wx, wy, wz = rates[0] + ix, rates[1] + iy, rates[2] + iz
+    for k in range(3):
+        F[POS + k, VEL + k] = 1.0
+    F[POS, POS + 1], F[POS, POS + 2] = ez, -ey
+    F[POS + 1, POS], F[POS + 1, POS + 2] = -ez, ex
+    F[POS + 2, POS], F[POS + 2, POS + 1] = ey, -ex
+    F[VEL, VEL + 1], F[VEL, VEL + 2] = wz, -wy
+    F[VEL + 1, VEL], F[VEL + 1, VEL + 2] = -wz, wx
+    F[VEL + 2, VEL], F[VEL + 2, VEL + 1] = wy, -wx
+    F[VEL + 2, POS + 2] = 2.0 * gravity(nav[0], nav[2]) / math.sqrt(rm * rn)
+    F[VEL, ATT + 1], F[VEL, ATT + 2] = force_n[2], -force_n[1]
+    F[VEL + 1, ATT], F[VEL + 1, ATT + 2] = -force_n[2], force_n[0]
+    F[VEL + 2, ATT], F[VEL + 2, ATT + 1] = force_n[1], -force_n[0]
+    F[ATT, ATT + 1], F[ATT, ATT + 2] = iz, -iy
+    F[ATT + 1, ATT], F[ATT + 1, ATT + 2] = -iz, ix
+    F[ATT + 2, ATT], F[ATT + 2, ATT + 1] = iy, -ix
+    F[ATT, VEL + 1] = -1.0 / rn
+    F[ATT + 1, VEL] = 1.0 / rm
+    F[ATT + 2, VEL + 1] = tan / rn
+    # Latitude changes the components of the Earth's rate and the transport rate's vertical part.
+    F[ATT, POS] = -rates[2] / rm
+    F[ATT + 2, POS] = (rates[0] + nav[4] * (1.0 + tan * tan) / rn) / rm
+    for i in range(3):
+        for j in range(3):
+            F[VEL + i, ACC + j] = -mat_nb[i, j]
+            F[ATT + i, GYR + j] = -mat_nb[i, j]
+    F[CLK, DRIFT] = 1.0
+
+
+@njit(cache=True, nogil=True)
+def advance_covariance(state, channels, config):
+    """Bring the covariance up to the nominal state with the force accumulated since the last call."""
+    dt = state[SPAN]
+    if not dt > 0.0:
+        return
+    P = covariance_of(state, channels)
+    n = P.shape[0]
+    nav = state[NAVIGATION : NAVIGATION + NAV]
+    mean_force = state[SPAN_FORCE : SPAN_FORCE + 3] / dt
+    F = np.empty((NAV_STATES, NAV_STATES))
+    error_dynamics(nav, mean_force, matrix_from_quat(nav[6:10]), F)
+    # Phi = I + F dt + F^2 dt^2 / 2
+    Phi = np.zeros((NAV_STATES, NAV_STATES))
+    half = 0.5 * dt * dt
+    for i in range(NAV_STATES):
+        Phi[i, i] = 1.0
+        for k in range(NAV_STATES):
+            f = F[i, k]
+            if f != 0.0:
+                Phi[i, k] += f * dt
+                for j in range(NAV_STATES):
+                    Phi[i, j] += half * f * F[k, j]
+    rows = np.zeros((NAV_STATES, n))
+    for i in range(NAV_STATES):
+        for k in range(NAV_STATES):
+            f = Phi[i, k]
+            if f != 0.0:
+                for j in range(n):
+                    rows[i, j] += f * P[k, j]
+    for i in range(NAV_STATES):
+        for j in range(NAV_STATES, n):
+            P[i, j] = rows[i, j]
+            P[j, i] = rows[i, j]
+    for i in range(NAV_STATES):
+        for j in range(i, NAV_STATES):
+            total = 0.0
+            for k in range(NAV_STATES):
+                total += rows[i, k] * Phi[j, k]
+            P[i, j] = total
+            P[j, i] = total
+    qg, qa = config[Q_GYRO] * dt, config[Q_ACCEL] * dt
+    for k in range(3):
+        P[ATT + k, ATT + k] += qg
+        P[VEL + k, VEL + k] += qa
+        P[POS + k, POS + k] += qa * dt * dt / 3.0
+        P[POS + k, VEL + k] += 0.5 * qa * dt
+        P[VEL + k, POS + k] += 0.5 * qa * dt
+        P[ACC + k, ACC + k] += config[BIASES] * config[Q_ACCEL_BIAS] * dt
+        P[GYR + k, GYR + k] += config[BIASES] * config[Q_GYRO_BIAS] * dt
+    qd = config[DRIFTS] * config[Q_DRIFT] * dt
+    P[CLK, CLK] += config[Q_CLOCK] * dt + qd * dt * dt / 3.0
+    P[CLK, DRIFT] += 0.5 * qd * dt
+    P[DRIFT, CLK] += 0.5 * qd * dt
+    P[DRIFT, DRIFT] += qd
+    state[SPAN] = 0.0
+    state[SPAN_FORCE : SPAN_FORCE + 3] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _integrate(state, channels, config, rate, force, dt):
+    inc = np.empty(6)
+    work = np.empty(20)
+    increments(rate, force, state[RATE : RATE + 3], state[FORCE : FORCE + 3], dt, inc)
+    mechanise(state[NAVIGATION : NAVIGATION + NAV], inc, dt, work)
+    for k in range(3):
+        state[RATE + k] = rate[k]
+        state[FORCE + k] = force[k]
+        state[SPAN_FORCE + k] += work[k]
+    state[SPAN] += dt
+    state[CLOCK] += dt * state[CLOCK_DRIFT]
+    if dt > config[GAP]:
+        # Nothing was measured in the gap: the craft may have done what gap_force and gap_rate allow.
+        advance_covariance(state, channels, config)
+        P = covariance_of(state, channels)
+        for k in range(3):
+            P[VEL + k, VEL + k] += (config[GAP_FORCE] * dt) ** 2
+            P[POS + k, POS + k] += (0.5 * config[GAP_FORCE] * dt * dt) ** 2
+            P[ATT + k, ATT + k] += (config[GAP_RATE] * dt) ** 2
+    elif state[SPAN] >= config[COVARIANCE_STEP] - 1e-9:
+        advance_covariance(state, channels, config)
+
+
+@njit(cache=True, nogil=True)
+def imu_step(state, channels, config, rate, force, sec, nsec):
+    """Advance to (sec, nsec) with a sample's mean rate and force (3,), biases still in them."""
+    dt = (sec - state[SEC]) + (nsec - state[NSEC]) * 1e-9
+    if not dt > 0.0:
+        return
+    w = np.empty(3)
+    f = np.empty(3)
+    for k in range(3):
+        w[k] = rate[k] - state[GYR_BIAS + k]
+        f[k] = force[k] - state[ACC_BIAS + k]
+    if state[HAVE_IMU] == 0.0:
+        state[RATE : RATE + 3] = w
+        state[FORCE : FORCE + 3] = f
+        state[HAVE_IMU] = 1.0
+    _integrate(state, channels, config, w, f, dt)
+    state[SEC] = sec
+    state[NSEC] = nsec
+
+
+@njit(cache=True, nogil=True)
+def hold_to(state, channels, config, sec, nsec):
+    """Advance to (sec, nsec) between two IMU samples with the last one held, and flush the covariance.
+
+    First order in the part of an IMU interval, as are eqs. 31-32 of paper 003, but it needs no sample
+    from the future.
+    """
+    dt = (sec - state[SEC]) + (nsec - state[NSEC]) * 1e-9
+    if dt > 0.0 and state[HAVE_IMU] != 0.0:
+        w = state[RATE : RATE + 3].copy()
+        f = state[FORCE : FORCE + 3].copy()
+        _integrate(state, channels, config, w, f, dt)
+        state[SEC] = sec
+        state[NSEC] = nsec
+    advance_covariance(state, channels, config)
+
+
+@njit(cache=True, nogil=True)
+def inject(state, channels, dx):
+    """Move the error estimate `dx` (n,) into the nominal state."""
+    nav = state[NAVIGATION : NAVIGATION + NAV]
+    meridian, normal = radii(nav[0])
+    s, c = math.sin(nav[0]), max(math.cos(nav[0]), 1e-3)
+    so, co = math.sin(nav[1]), math.cos(nav[1])
+    nav[0] += dx[POS] / (meridian + nav[2])
+    nav[1] += dx[POS + 1] / ((normal + nav[2]) * c)
+    nav[2] -= dx[POS + 2]
+    for k in range(3):
+        nav[3 + k] += dx[VEL + k]
+        state[ACC_BIAS + k] += dx[ACC + k]
+        state[GYR_BIAS + k] += dx[GYR + k]
+        # The held sample is bias-free: it follows the bias.
+        state[FORCE + k] -= dx[ACC + k]
+        state[RATE + k] -= dx[GYR + k]
+    nav[6:10] = quat_normalize(quat_multiply(quat_from_rotvec(dx[ATT : ATT + 3]), nav[6:10].copy()))
+    state[CLOCK] += dx[CLK]
+    state[CLOCK_DRIFT] += dx[DRIFT]
+    state[INTERSYSTEM] += dx[ISB]
+    n, e, d = dx[CLONE], dx[CLONE + 1], dx[CLONE + 2]
+    state[CLONE_POS] += -s * co * n - so * e - c * co * d
+    state[CLONE_POS + 1] += -s * so * n + co * e - c * so * d
+    state[CLONE_POS + 2] += c * n - s * d
+    state[CLONE_CLOCK] += dx[CLONE_CLK]
+    for i in range(channels):
+        at = HEAD + i * CHANNEL_WIDTH
+        state[at + C_SLOW] += dx[CHANNEL + PER_CHANNEL * i]
+        state[at + C_MULTIPATH] += dx[CHANNEL + PER_CHANNEL * i + 1]
+        state[at + C_NOISE] += dx[CHANNEL + PER_CHANNEL * i + 2]

@@ -97,8 +97,8 @@ class AttitudeFilter:
             out.extend(SettledAttitude(*estimate) for estimate in settled)
         return out
 
-    def on_mag(self, sample: MagSample) -> None:
-        """Take one field sample; it corrects heading at the end of its block."""
+    def on_mag(self, sample: MagSample) -> list[Any]:
+        """Take one field sample; it corrects heading at the end of its block. Returns settled estimates."""
         p = self.params
         mx, my, mz = sample.field
         if p.frame_id and sample.frame != p.frame_id:
@@ -108,7 +108,10 @@ class AttitudeFilter:
         elif mx == 0.0 and my == 0.0 and mz == 0.0:
             self.tally.reject(_MAG, 'zero field')
         else:
-            self._buffer.feed(1, sample)
+            _, settled = self._buffer.feed(1, sample)
+            if self._settled:
+                return [SettledAttitude(*estimate) for estimate in settled]
+        return []
 
     def apply(self, port: int, sample: Any) -> Attitude | None:
         """Advance the state by one sample (called by the event-time buffer in order of stamps)."""

@@ -27,10 +27,14 @@ _INTEGRAL_SHARE = 25.0
 
 @dataclass(frozen=True)
 class Ultimate:
-    """Ultimate gain and period (s)."""
+    """Ultimate gain and period (s): where the loop oscillates for good.
+
+    `lead` (rad) is how far the point lies before −180°; a relay with hysteresis finds such a point.
+    """
 
     gain: float
     period: float
+    lead: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class RelayTest:
     """Relay feedback on one signal: ``output(error)`` per sample, `result` after enough equal cycles.
 
     The describing function of a relay of amplitude d with hysteresis h against an oscillation of amplitude
-    a gives Ku = 4 d / (π √(a² − h²)) and Tu, the period; the phase lag of hysteresis is asin(h/a).
+    a: the plant's gain there is π a / (4 d), its phase −180° + asin(h/a).
     """
 
     # Cycles that settle, and cycles that are measured.
@@ -155,8 +159,11 @@ class RelayTest:
             return None
         times = self._up[self._SKIP :]
         amplitude = float(np.mean(self._peaks[self._SKIP + 1 :]))
-        span = math.sqrt(max(amplitude**2 - self.hysteresis**2, 1e-18))
-        return Ultimate(4.0 * self.amplitude / (math.pi * span), (times[-1] - times[0]) / (len(times) - 1))
+        return Ultimate(
+            4.0 * self.amplitude / (math.pi * amplitude),
+            (times[-1] - times[0]) / (len(times) - 1),
+            math.asin(min(self.hysteresis / amplitude, 1.0)),
+        )
 
 
 def ultimate_by_relay(
@@ -182,7 +189,7 @@ def plant_from_ultimate(
     """
     omega = 2.0 * math.pi / u.period
     if lag is None:
-        room = math.pi / 2 - omega * (delay + 0.5 * period)
+        room = math.pi / 2 - u.lead - omega * (delay + 0.5 * period)
         lag = max(math.tan(room) / omega, 1e-3) if room > 0.0 else 1e-3
     return LinearPlant(omega * math.hypot(1.0, omega * lag) / u.gain, lag, delay, period=period)
 

@@ -97,7 +97,7 @@ class EventTimeBuffer:
     def feed(self, port: int, sample: Any) -> tuple[Any, list[Any]]:
         """Take one sample; return its prompt estimate (or None) and the estimates settled by it.
 
-        A sample that arrives late has no prompt estimate: a newer one is already out.
+        A sample that arrives late has a prompt estimate only if no newer one is out yet.
         """
         stamp = sample.stamp
         newest = self._newest
@@ -121,25 +121,34 @@ class EventTimeBuffer:
         index = bisect_left(keys, key, self._head)
         if keys[index] == key:
             self._tally.reject(self._names[port], DUPLICATE)
-        else:
-            self._insert(index, key, sample)
-        # The newest stamp is unchanged, and nothing within the window of it is settled: nothing to hand out.
-        return None, []
+            return None, []
+        # The newest stamp is unchanged, and nothing within the window of it is settled.
+        return self._insert(index, key, sample), []
 
-    def _insert(self, index: int, key: tuple[int, int], sample: Any) -> None:
-        """Roll back to `index`, use the late sample there and re-apply all that follow it."""
+    def _insert(self, index: int, key: tuple[int, int], sample: Any) -> Any:
+        """Roll back to `index`, use the late sample there and re-apply all that follow it.
+
+        Returns its estimate, or None if one of those that follow has an estimate too.
+        """
         model = self._model
-        model.state[:] = self._before[index]
+        before = self._before[index]
+        model.state[:] = before
+        # The late sample itself is counted; those after it were counted when they came.
+        prompt = model.apply(key[1], sample)
         self._keys.insert(index, key)
         self._samples.insert(index, sample)
-        self._before.insert(index, self._before[index])
-        # The late sample itself is counted; those after it were counted when they came.
-        self._estimates.insert(index, model.apply(key[1], sample))
+        self._before.insert(index, before)
+        self._estimates.insert(index, prompt)
         muted, self._tally.muted = self._tally.muted, True
-        for i in range(index + 1, len(self._keys)):
-            self._before[i] = model.state.copy()
-            self._estimates[i] = model.apply(self._keys[i][1], self._samples[i])
-        self._tally.muted = muted
+        try:
+            for i in range(index + 1, len(self._keys)):
+                self._before[i] = model.state.copy()
+                self._estimates[i] = estimate = model.apply(self._keys[i][1], self._samples[i])
+                if estimate is not None:
+                    prompt = None
+        finally:
+            self._tally.muted = muted
+        return prompt
 
     def _settle(self, newest: int) -> list[Any]:
         """Move the floor to `window` behind `newest` and return the estimates that fell below it."""

@@ -32,11 +32,13 @@ def test_rejected_samples_are_counted_by_reason():
 
 def test_a_withdrawn_rejection_leaves_no_trace():
     tally = Tally()
-    tally.reject('mag', 'gate')
-    tally.reject('mag', 'gate')
+    for _ in range(3):
+        tally.reject('mag', 'gate')
     tally.withdraw('mag', 'gate')
-    assert tally.sensor('mag').rejected == {'gate': 1}
+    assert dict(tally.sensor('mag').rejected) == {'gate': 2}
     tally.withdraw('mag', 'gate')
+    tally.withdraw('mag', 'gate')
+    assert dict(tally.sensor('mag').rejected) == {}
     tally.withdraw('mag', 'gate')  # a reset in between may have cleared the counts
     assert dict(tally.sensor('mag').rejected) == {}
 

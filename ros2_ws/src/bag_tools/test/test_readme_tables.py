@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
+import importlib
 import json
 import sys
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -189,3 +190,12 @@ def source_tree():
 def test_the_documents_of_this_workspace_are_current():
     root = source_tree()
     assert [str(path.relative_to(root)) for path, _ in readme_tables.drifted(root)] == [], 'run ./ws docs'
+
+
+@pytest.mark.skipif(source_tree() is None, reason='not run from the source tree: there are no packages')
+def test_the_defaults_of_every_estimator_lie_within_their_own_bounds():
+    for path in sorted((source_tree() / 'ros2_ws' / 'src').glob('*/*/codec.py')):
+        codec = importlib.import_module(f'{path.parent.name}.codec')
+        for ports in getattr(codec, 'ESTIMATORS', {}).values():
+            defaults = {field.name: field.default for field in fields(ports.params)}
+            assert build(ports.params, defaults) == ports.params(), ports.name

@@ -163,7 +163,8 @@ def _hand_held(params: SimulatorParams, rng: np.random.Generator) -> Profile:
 def _rolling_ship(params: SimulatorParams, rng: np.random.Generator) -> Profile:
     """Roll, pitch and yaw of a ship in a swell with sway, heave and surge, and a turn of 90°.
 
-    The frequencies, amplitudes and the turn are those of the benchmark's rolling ship; phases by seed.
+    Amplitudes, frequencies and the turn are the benchmark's; phases by seed. The waves come from a fixed
+    direction, so surge and sway do not turn with the ship.
     """
     roll = params.ship_roll
     amplitude = np.array([[0.75 * roll, 4.0 * _DEG, 3.0 * _DEG], [0.25 * roll, 0.0, 0.0]])

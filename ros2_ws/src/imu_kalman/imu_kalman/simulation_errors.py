@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 from scipy.signal import lfilter
 
-# 1/f noise: correlation times from 0.1 s to an hour, four to the next. The ripple of the sum about a true
-# 1/f spectrum is then under 1 %.
+# 1/f noise: correlation times from 0.1 s to 6500 s, each four times the one before. The sum follows 1/f
+# within 2 % from 1 mHz to 0.1 Hz and falls below it beyond, where white noise covers it.
 _FLICKER_SHORTEST = 0.1
 _FLICKER_RATIO = 4.0
 _FLICKER_COUNT = 9

@@ -91,7 +91,7 @@ class _Model:
         p = self.params
         s = self.state
         gyro = np.array(sample.rate)
-        force = np.array(sample.force)
+        force = np.array(sample.force) - np.array(p.accelerometer_offset)
         second, nano = divmod(sample.stamp, NANOSECONDS)
         dt = (second - s[_SEC]) + (nano - s[_NANO]) * 1e-9
         first = s[_SEC] == 0.0 and s[_NANO] == 0.0
@@ -165,7 +165,11 @@ class _Model:
                 s[_STANDING] = 1.0
                 s[_REFERENCE] = self.still[5:8]
             if not s[_CALIBRATED]:
-                # The first still window: also the start of the tilt, from a mean instead of one sample.
+                # Heading has turned with the unknown bias meanwhile; the craft has not.
+                if s[_STANDING]:
+                    self.q[:] = driven.tilt_quaternion(self.still[5], self.still[6], self.still[7])
+                    self.v[:] = 0.0
+                    s[_YAW] = 0.0
                 s[_CALIBRATED] = 1.0
                 self.b[:] = mean
                 self.P[3:6, :] = 0.0
@@ -188,12 +192,8 @@ class _Model:
         turning = np.abs(gyro).max() > p.still_bias + 3.0 * p.still_rate
         moving = np.abs(force - s[_REFERENCE]).max() > p.ground_departure
         shaken = abs(math.sqrt(force @ force) - GRAVITY) > 2.0 * p.ground_departure
-        if not (turning or moving or shaken):
-            return
-        s[_STANDING] = 0.0
-        # Standing cannot tell tilt from accelerometer bias.
-        for i in range(2):
-            self.P[i, i] += (p.accelerometer_bias / GRAVITY) ** 2
+        if turning or moving or shaken:
+            s[_STANDING] = 0.0
 
     def _driven_step(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> float:
         p = self.params
@@ -258,7 +258,9 @@ class _Model:
         bx, by, bz = (float(v) for v in self.b)
         rate = (gx - bx, gy - by, gz - bz)
         q = self.q
-        variance = (float(P[0, 0]), float(P[1, 1]), float(P[2, 2]))
+        # The accelerometer bias is not a state: neither standing nor drag can tell it from tilt.
+        unseen = (p.accelerometer_bias / GRAVITY) ** 2
+        variance = (float(P[0, 0]) + unseen, float(P[1, 1]) + unseen, float(P[2, 2]))
         if p.filter != 'gyro_driven':
             (roll, rolling), (pitch, pitching) = self.axes[0][0], self.axes[1][0]
             q = quat_from_euler(roll, pitch, self.state[_YAW])

@@ -186,6 +186,13 @@ def encode_motors(estimate: MotorCommand, message: Any) -> None:
     set_floats(message, 'effort', estimate.thrust)
 
 
+def encode_pulses(stamp: int, pulses: tuple[float, ...], message: Any) -> None:
+    """Fill a sensor_msgs/JointState with pulses (µs) as positions: what the motors are given."""
+    set_stamp(message.header, stamp)
+    message.name = list(MOTORS)
+    set_floats(message, 'position', pulses)
+
+
 def encode_report(estimate: ControlReport, message: Any) -> None:
     """Fill a sensor_msgs/JointState: position = setpoint, velocity = measured, effort = achieved torque."""
     set_stamp(message.header, estimate.stamp)

@@ -88,7 +88,9 @@ class ImuErrorParams:
     gyro_bias: float = parameter(0.03, 'sigma of the start bias', unit='rad/s', minimum=0.0)
     gyro_walk: float = parameter(3.5e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0)
     accelerometer_noise: float = parameter(3.9e-3, 'accelerometer noise', unit='m/s^2/sqrt(Hz)', minimum=0.0)
-    accelerometer_bias: float = parameter(0.1, 'sigma of the accelerometer bias', unit='m/s^2', minimum=0.0)
+    accelerometer_bias: float = parameter(
+        0.05, 'sigma of the accelerometer bias left after a calibration', unit='m/s^2', minimum=0.0
+    )
     misalignment: float = parameter(0.005, 'sigma of scale and cross-axis errors', minimum=0.0, maximum=0.1)
     white_vibration: float = parameter(
         0.0, 'white vibration per sample, motors at hover', unit='m/s^2', minimum=0.0

@@ -74,9 +74,12 @@ class AttitudeParams:
     ground_noise: float = parameter(
         0.05, 'noise of velocity = 0 while standing', unit='m/s/sqrt(Hz)', minimum=1e-4
     )
+    accelerometer_offset: tuple = parameter(
+        (0.0, 0.0, 0.0), 'accelerometer bias to subtract, from a calibration', unit='m/s^2'
+    )
     accelerometer_bias: float = parameter(
         0.05,
-        'sigma of the accelerometer bias; it limits the tilt that standing gives',
+        'sigma of what is left of the accelerometer bias: the floor of the tilt error',
         unit='m/s^2',
         minimum=0.0,
     )
@@ -308,11 +311,20 @@ class EscParams:
         1000.0, 'pulse of a stopped motor', unit='us', minimum=500.0, maximum=2000.0
     )
     frequency: float = parameter(400.0, 'PWM frequency', unit='Hz', minimum=24.0, maximum=450.0)
-    bus: int = parameter(1, 'I2C bus number; -1 = a fake bus', minimum=-1, maximum=64)
+    bus: str = parameter('/dev/i2c-1', "I2C bus of the chip; 'fake' = a simulated chip")
     address: int = parameter(0x40, 'I2C address of the PCA9685', minimum=0x08, maximum=0x77)
     channels: tuple = parameter(
         (0.0, 1.0, 2.0, 3.0), 'channel of each motor, in the order of the mixer', minimum=0.0, maximum=15.0
     )
+
+    def __post_init__(self) -> None:
+        """Check the rules that span fields."""
+        if self.bus != 'fake' and not self.bus.startswith('/dev/i2c-'):
+            raise ParameterError(f"parameter 'bus' is '{self.bus}', allowed: /dev/i2c-N or fake")
+        if len(set(self.channels)) != len(self.channels):
+            raise ParameterError(
+                f"parameter 'channels' is {list(self.channels)}, allowed: four different ones"
+            )
 
 
 GAINS = tuple(

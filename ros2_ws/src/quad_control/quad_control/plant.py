@@ -33,7 +33,7 @@ CHARGE, VOLTAGE = 20, 21
 STATE_SIZE = 22
 
 # Ground contact as a spring and damper: natural frequency 60 rad/s, damping ratio 0.7, for any mass.
-_GROUND_STIFFNESS = 3600.0
+GROUND_STIFFNESS = 3600.0
 _GROUND_DAMPING = 84.0
 # Feet resist tilting and sliding on the ground: time constant 1/20 s while in contact.
 _GROUND_FRICTION = 20.0
@@ -166,7 +166,7 @@ def _derivative(x, target, p, dx, force):
     else:
         nx, ny, nz = 0.0, 0.0, 0.0
         if x[2] < 0.0:
-            nz = max(mass * (-_GROUND_STIFFNESS * x[2] - _GROUND_DAMPING * x[5]), 0.0)
+            nz = max(mass * (-GROUND_STIFFNESS * x[2] - _GROUND_DAMPING * x[5]), 0.0)
             nx = -mass * _GROUND_FRICTION * x[3]
             ny = -mass * _GROUND_FRICTION * x[4]
             # Feet push the craft upright: torque along (body z) x (up), 400 rad^2/s^2 stiff.

@@ -89,7 +89,8 @@ class QuadSimulator:
         self.p = plant.pack(craft)
         self.x = np.zeros(plant.STATE_SIZE)
         self.x[plant.QUATERNION] = quat_from_euler(roll, pitch, 0.0)
-        self.x[2] = height
+        # On the ground the feet are pressed in by the weight: no bounce at start.
+        self.x[2] = height if height > 0.0 or craft.pinned else -GRAVITY / plant.GROUND_STIFFNESS
         self.x[plant.VOLTAGE] = plant.open_circuit_voltage(0.0, float(craft.cells))
         self.hover_speed = math.sqrt(total_mass(craft) * GRAVITY / (4.0 * craft.thrust_coefficient))
         duty = 0.0

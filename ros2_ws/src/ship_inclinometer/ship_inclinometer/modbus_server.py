@@ -262,6 +262,6 @@ def configure(file: int, baudrate: int, parity: str) -> None:
     attributes[2] = control
     attributes[3] = 0
     attributes[4] = attributes[5] = _BAUDS[baudrate]
-    attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 0, 0
+    attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
     termios.tcsetattr(file, termios.TCSANOW, attributes)
     termios.tcflush(file, termios.TCIOFLUSH)

@@ -32,9 +32,12 @@ _COMPACT = 256
 
 
 class Model(Protocol):
-    """What the buffer drives: everything that changes while filtering is in the flat array `state`."""
+    """What the buffer drives."""
 
-    state: np.ndarray
+    @property
+    def state(self) -> np.ndarray:
+        """The flat array that holds everything that changes while filtering."""
+        ...
 
     def apply(self, port: int, sample: Any) -> Any:
         """Advance `state` to the sample's stamp, use it, and return an estimate or None."""

@@ -39,14 +39,14 @@ def finite3(vector: Any, name: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def set3(vector: Any, values: Sequence[float]) -> None:
+def set3(vector: Any, values: Sequence[float] | np.ndarray) -> None:
     """Write three numbers into a Vector3 or Point."""
     vector.x = float(values[0])
     vector.y = float(values[1])
     vector.z = float(values[2])
 
 
-def set_quaternion(quaternion: Any, q: Sequence[float]) -> None:
+def set_quaternion(quaternion: Any, q: Sequence[float] | np.ndarray) -> None:
     """Write a (w, x, y, z) quaternion into a geometry_msgs/Quaternion, which is ordered (x, y, z, w)."""
     quaternion.w = float(q[0])
     quaternion.x = float(q[1])

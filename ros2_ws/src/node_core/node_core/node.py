@@ -193,5 +193,5 @@ class EstimatorNode(WorkspaceNode):
         for reason in tally.restarts[self._restarts_logged :]:
             self.get_logger().warning(f'estimator restarted: {reason}')
         self._restarts_logged = len(tally.restarts)
-        extra = getattr(self.driver.estimator, 'diagnostics', dict)()
-        return self._reporter.report(extra)
+        own = getattr(self.driver.estimator, 'diagnostics', None)
+        return self._reporter.report(own() if own is not None else {})

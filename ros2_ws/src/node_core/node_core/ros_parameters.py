@@ -68,7 +68,7 @@ class NodeParameters:
         self._fields = {f.name: (cls, f) for cls in classes for f in dataclasses.fields(cls)}
         self._listeners: list[Callable[[], None]] = []
         given = self._take_overrides()
-        self._values = {
+        self._values: dict[type, Any] = {
             cls: build(cls, {k: v for k, v in given.items() if self._fields[k][0] is cls}) for cls in classes
         }
         for name, (cls, field) in self._fields.items():

@@ -108,7 +108,7 @@ def left_jacobian(rotvec):
         a = 0.5 - square / 24.0
         b = 1.0 / 6.0 - square / 120.0
     else:
-        a = (1.0 - math.cos(angle)) / square
+        a = 2.0 * math.sin(0.5 * angle) ** 2 / square  # 1 - cos would cancel
         b = (angle - math.sin(angle)) / (square * angle)
     out = np.empty((3, 3))
     out[0, 0] = 1.0 - b * (y * y + z * z)

@@ -315,3 +315,35 @@ def test_cholesky_refuses_what_is_not_positive_definite(entry):
         S = np.eye(3)
         S[i, i] = entry
         assert not linear.cholesky(S, np.zeros((3, 3)))
+
+
+def test_entries_of_exactly_one_count_as_much_as_all_others():
+    """Zeros are skipped by the kernels; ones, which real models are full of, must not be."""
+    F = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
+    H = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]])
+    x, P, Q, R = np.array([1.0, 2.0, 3.0]), np.eye(3), np.eye(3), np.eye(2)
+    expected = oracle(x, P, F, Q, H, R)
+    expected.predict()
+    linear.predict(x, P, F, Q)
+    assert_equal(x, expected.x)
+    assert_equal(P, expected.P)
+    expected.update(np.ones(2))
+    linear.update(x, P, np.ones(2), H, R)
+    assert_equal(x, expected.x)
+    assert_equal(P, expected.P)
+    L = np.tril(np.ones((3, 3)))
+    B = np.arange(6.0).reshape(3, 2)
+    solution = np.linalg.solve(L @ L.T, B)
+    linear.cholesky_solve(L, B)
+    assert_equal(B, solution)
+
+
+def test_a_zero_on_the_diagonal_drops_its_component_from_the_solution():
+    L = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 3.0]])
+    B = np.array([[4.0], [5.0], [6.0]])
+    keep = [0, 2]
+    part = L[np.ix_(keep, keep)]
+    expected = np.linalg.solve(part @ part.T, B[keep])
+    linear.cholesky_solve(L, B)
+    assert B[1, 0] == 0.0
+    assert np.allclose(B[keep], expected, atol=1e-15)

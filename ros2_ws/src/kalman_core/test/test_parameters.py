@@ -26,6 +26,7 @@ class Params:
     rate: int = parameter(100, 'samples a second', unit='Hz', minimum=1)
     offset: float = parameter(-1e-6, 'anything goes')
     ceiling: float = parameter(1e16, 'no lower bound', maximum=1234567.0 * 1e10)
+    tiny: float = parameter(2.5e-7, 'mantissa with a point')
     enabled: bool = parameter(True, 'on or off')
     variant: str = parameter('published', 'which equations', choices=('published', 'corrected'))
     frame: str = parameter("ship's base", 'frame id')
@@ -163,8 +164,8 @@ def test_the_table_has_one_row_a_parameter_in_order_and_escapes_bars():
     assert rows[1] == '|---|---|---|---|---|---|'
     assert rows[2] == '| `noise` | `0.005` | rad/s | 0 … 1 rad/s | yes | white noise |'
     assert rows[3] == '| `rate` | `100` | Hz | >= 1 Hz | restart | samples a second |'
-    assert rows[7] == '| `variant` | `published` | – | published \\| corrected | restart | which equations |'
-    assert rows[9] == '| `arm` | `[1.0, 2e-07, -3.0]` | m | -10 … 10 m | restart | lever arm |'
+    assert rows[8] == '| `variant` | `published` | – | published \\| corrected | restart | which equations |'
+    assert rows[10] == '| `arm` | `[1.0, 2e-07, -3.0]` | m | -10 … 10 m | restart | lever arm |'
     assert len(rows) == 2 + len(FIELDS)
 
 
@@ -186,9 +187,10 @@ def test_each_line_of_the_default_yaml_is_commented_with_text_and_unit():
     assert lines[2] == '  ros__parameters:'
     assert lines[3] == '    noise: 0.005  # white noise [rad/s]'
     assert lines[5] == '    offset: -1.0e-06  # anything goes'
-    assert lines[7] == '    enabled: true  # on or off'
-    assert lines[9] == "    frame: 'ship''s base'  # frame id"
-    assert lines[10] == '    arm: [1.0, 2.0e-07, -3.0]  # lever arm [m]'
+    assert lines[7] == '    tiny: 2.5e-07  # mantissa with a point'
+    assert lines[8] == '    enabled: true  # on or off'
+    assert lines[10] == "    frame: 'ship''s base'  # frame id"
+    assert lines[11] == '    arm: [1.0, 2.0e-07, -3.0]  # lever arm [m]'
     assert yaml.safe_load(default_yaml(dataclasses.make_dataclass('Off', [('x', bool, False)]), 'n')) == {
         'n': {'ros__parameters': {'x': False}}
     }

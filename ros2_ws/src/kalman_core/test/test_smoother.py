@@ -108,19 +108,22 @@ def test_smoothed_covariances_stay_symmetric_semidefinite_and_below_the_filtered
         assert (np.diag(P) <= np.diag(before) * (1 + 1e-9)).all()
 
 
-def test_states_that_are_known_exactly_stay_known_and_harm_no_others():
+@pytest.mark.parametrize('place', [0, 2, 3])
+def test_states_that_are_known_exactly_stay_known_and_harm_no_others(place):
     """A constant with zero variance and no process noise makes the predicted covariance singular."""
     F, Q, H, R, _, z = track(4)
-    F4, Q4, H4 = np.eye(4), np.zeros((4, 4)), np.zeros((1, 4))
-    F4[:3, :3], Q4[:3, :3], H4[0, :3] = F, Q, H[0]
-    P0 = np.diag([1.0, 1.0, 1.0, 0.0])
-    x0 = np.array([0.0, 0.0, 0.0, 7.0])
+    others = [i for i in range(4) if i != place]
+    F4, Q4, H4, P0, x0 = np.eye(4), np.zeros((4, 4)), np.zeros((1, 4)), np.zeros((4, 4)), np.zeros(4)
+    block = np.ix_(others, others)
+    F4[block], Q4[block], H4[0, others], P0[block] = F, Q, H[0], np.eye(3)
+    x0[place] = 7.0
     whole = rts(filter_series(x0, P0, z, F4, Q4, H4, R), F4, Q4)
     part = rts(filter_series(np.zeros(3), np.eye(3), z, F, Q, H, R), F, Q)
-    assert (whole.x[:, 3] == 7.0).all()
-    assert (whole.P[:, 3] == 0.0).all()
-    assert np.allclose(whole.x[:, :3], part.x, atol=1e-10)
-    assert np.allclose(whole.P[:, :3, :3], part.P, atol=1e-10)
+    assert (whole.x[:, place] == 7.0).all()
+    assert (whole.P[:, place] == 0.0).all()
+    assert np.allclose(whole.x[:, others], part.x, atol=1e-10)
+    for P, expected in zip(whole.P, part.P):
+        assert np.allclose(P[block], expected, atol=1e-10)
 
 
 def test_control_inputs_are_smoothed_through_the_predicted_states():

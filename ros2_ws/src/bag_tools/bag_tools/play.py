@@ -71,7 +71,11 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument('bag', type=Path, help='rosbag2 folder, .mcap or .db3 file')
     p.add_argument('-r', '--rate', type=_positive, default=1.0, help='speed against real time (default 1)')
-    p.add_argument('--fast', action='store_true', help='as fast as possible instead of a rate')
+    p.add_argument(
+        '--fast',
+        action='store_true',
+        help='as fast as possible (slow subscribers lose messages unless --lockstep)',
+    )
     p.add_argument(
         '--lockstep',
         action='store_true',

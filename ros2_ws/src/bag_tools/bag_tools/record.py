@@ -9,6 +9,9 @@ import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
 from bag_tools.bag import BagError
 from bag_tools.play import NANOSECONDS
 
@@ -46,7 +49,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument('--compression', choices=('none', 'zstd'), default='none')
     p.add_argument('--overwrite', action='store_true', help='replace an existing bag')
     p.add_argument(
-        '--stamp', choices=STAMPS, default='receive', help='bag time: of receipt (default) or header.stamp'
+        '--stamp',
+        choices=STAMPS,
+        default='receive',
+        help='bag time: of receipt (default), or header.stamp where there is one',
     )
     p.add_argument('--lockstep', action='store_true', help='acknowledge every message to a lock-step player')
     p.add_argument('--count', type=int, help='stop after so many messages')
@@ -88,6 +94,12 @@ def header_stamp(data: bytes) -> int:
     order = '<' if data[1] & 1 else '>'  # second byte of the encapsulation: 1 is little endian
     seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
     return seconds * NANOSECONDS + nanoseconds
+
+
+def has_header(type_name: str, store: Typestore) -> bool:
+    """Whether the first field of a message type is a std_msgs/Header."""
+    fields = store.fielddefs[type_name][1]
+    return bool(fields) and fields[0][1] == (Nodetype.NAME, 'std_msgs/msg/Header')
 
 
 class StopRule:

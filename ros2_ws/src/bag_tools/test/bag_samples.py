@@ -96,14 +96,14 @@ MIX = Ports(
         Slow: Output('slow', 'std_msgs/msg/Float64', encode_slow, latched=True),
     },
 )
-# Listens to what MIX says and to one of its inputs: the order of the two shows.
+# Listens to what MIX says and to a sensor: the order of the two shows.
 CHAIN = Ports(
     name='chain',
     params=MixParams,
     estimator=Mix,
     inputs=(
         Input('mixture', VECTOR, lambda m: Sample(stamp_of(m), finite3(m.vector, 'mixture')), 'on_fast'),
-        Input('imu/mag', MAG, lambda m: Sample(stamp_of(m), finite3(m.magnetic_field, 'field')), 'on_slow'),
+        Input('aux', VECTOR, lambda m: Sample(stamp_of(m), finite3(m.vector, 'aux')), 'on_slow'),
     ),
     outputs={
         Mixture: Output('chained', VECTOR, encode_mixture),
@@ -131,11 +131,12 @@ def mag(stamp, field):
 
 
 def write_sensors(path, seconds=2.0, seed=1, **options):
-    """Write an IMU at 100 Hz and a magnetometer at 25 Hz with some equal stamps; return `path`."""
+    """Write an IMU at 100 Hz, others at 25 and 10 Hz with equal stamps, and a note; return `path`."""
     rng = np.random.default_rng(seed)
     with BagWriter(path, **options) as bag:
         bag.add('imu/data_raw', IMU)
         bag.add('imu/mag', MAG)
+        bag.add('aux', VECTOR)
         bag.add('note', 'std_msgs/msg/String', latched=True)
         note = zeroed('std_msgs/msg/String')
         note.data = 'latched'
@@ -145,4 +146,8 @@ def write_sensors(path, seconds=2.0, seed=1, **options):
             bag.write('/imu/data_raw', stamp, imu(stamp, rng.normal(size=3)))
             if not k % 4:
                 bag.write('/imu/mag', stamp, mag(stamp, rng.normal(size=3)))
+            if not k % 10:
+                aux = stamped(zeroed(VECTOR), stamp)
+                set3(aux.vector, rng.normal(size=3))
+                bag.write('/aux', stamp, aux)
     return path

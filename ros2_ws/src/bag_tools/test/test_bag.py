@@ -65,7 +65,9 @@ def test_topics_tell_type_count_and_durability(tmp_path):
         assert reader.topics['/note'].qos[0].durability == QosDurability.TRANSIENT_LOCAL
         assert not reader.topics['/imu/mag'].latched
         assert reader.topic('imu/mag').name == '/imu/mag'
-        with pytest.raises(BagError, match="no topic '/gps'; the bag has: /imu/data_raw, /imu/mag, /note"):
+        with pytest.raises(
+            BagError, match="no topic '/gps'; the bag has: /aux, /imu/data_raw, /imu/mag, /note"
+        ):
             reader.topic('/gps')
 
 

@@ -25,7 +25,7 @@ from node_core.message_types import message_class
 _POLL = 0.05  # s
 # Discovery brings a node's endpoints within milliseconds of each other: start only after this much quiet.
 _SETTLED = 0.25  # s
-# Without lock-step, published messages between two looks at services and acknowledgements.
+# Without lock-step, published messages between two looks at the services.
 _BURST = 50
 _FLUSH_TIMEOUT = 10.0  # s
 
@@ -165,7 +165,8 @@ class Player(Node):
                 progress((stamp - self._playlist.begin) / span)
             if not self._options.loop:
                 break
-        self._flush()
+        if self._lockstep is None:
+            self._flush()
 
     def _await_turn(self, stamp: int) -> None:
         self._hold_while_paused(stamp)
@@ -177,7 +178,6 @@ class Player(Node):
 
     def _hold_while_paused(self, stamp: int) -> None:
         if self._paused:
-            self._flush()
             while self._paused and not self._steps:
                 self.spin_for(_POLL)
             self._steps = max(self._steps - 1, 0)
@@ -206,11 +206,13 @@ class Player(Node):
             self._lockstep.wait(self._executor)
         elif not self.played % _BURST:
             self.spin_for(0.0)
-            if self._pace.due(0) == -float('inf'):
-                self._flush()
 
     def _flush(self) -> None:
-        """Wait until every matched reader has received what was published; a reader that died is skipped."""
+        """Wait until every matched reader has received what was published.
+
+        Once at the end only: Fast DDS asks for acknowledgements every three seconds, so this is no means to
+        hold the player back.
+        """
         for publisher in self._publishers_by_topic.values():
             if publisher.get_subscription_count():
                 publisher.wait_for_all_acked(Duration(seconds=_FLUSH_TIMEOUT))

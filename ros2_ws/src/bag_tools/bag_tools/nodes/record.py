@@ -26,7 +26,7 @@ from bag_tools import rosargs
 from bag_tools.bag import BagError, BagWriter, jazzy, reliable_qos
 from bag_tools.cli import guarded
 from bag_tools.nodes.definitions import installed_store
-from bag_tools.record import RecordOptions, StopRule, header_stamp, options_from
+from bag_tools.record import RecordOptions, StopRule, has_header, header_stamp, options_from
 from node_core.lockstep import TOPIC as LOCKSTEP_TOPIC
 from node_core.lockstep import Acknowledger
 from node_core.message_types import message_class
@@ -46,6 +46,7 @@ class Recorder(Node):
         self._writer = writer
         self._wanted = [self.resolve_topic_name(t) for t in options.topics]
         self._subscriptions_by_topic: dict[str, Any] = {}
+        self._receivers: dict[str, Callable[[bytes], None]] = {}
         self._acknowledger: Acknowledger | None = None
         self._skipped: set[str] = set()
         self.rule = StopRule(options, time.monotonic())
@@ -90,16 +91,17 @@ class Recorder(Node):
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         self._writer.add(topic, type_name, qos=(reliable_qos(latched=latched),), store=store)
+        self._receivers[topic] = self._receiver(topic, has_header(type_name, store))
         self._subscriptions_by_topic[topic] = self.create_subscription(
-            cls, topic, self._receiver(topic), qos, raw=True
+            cls, topic, self._receivers[topic], qos, raw=True
         )
 
     @staticmethod
     def _store_of(type_name: str) -> Typestore:
         return jazzy() if type_name in jazzy().fielddefs else installed_store(type_name)
 
-    def _receiver(self, topic: str) -> Callable[[bytes], None]:
-        from_header = self._options.stamp == 'header'
+    def _receiver(self, topic: str, headed: bool) -> Callable[[bytes], None]:
+        from_header = headed and self._options.stamp == 'header'
 
         def receive(data: bytes) -> None:
             stamp = header_stamp(data) if from_header else self.get_clock().now().nanoseconds
@@ -113,7 +115,7 @@ class Recorder(Node):
     def drain(self) -> None:
         """Write what has been received but not taken yet."""
         for topic, subscription in self._subscriptions_by_topic.items():
-            receive = self._receiver(topic)
+            receive = self._receivers[topic]
             handle = subscription.handle
             with handle:
                 while (taken := handle.take_message(subscription.msg_type, True)) is not None:

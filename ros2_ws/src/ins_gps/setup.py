@@ -22,5 +22,10 @@ setup(
     maintainer_email='maintainers@estimator-workspace.invalid',
     description="Tightly coupled INS/GPS with carrier-phase differences and DGPS.",
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            f'{node} = {package_name}.nodes.{node}:main'
+            for node in ('ins_gps_estimator', 'uav_simulator', 'rinex_driver', 'dgps_base')
+        ]
+    },
 )

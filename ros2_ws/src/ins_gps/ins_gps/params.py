@@ -105,9 +105,72 @@ class FilterParams:
     origin: tuple = parameter(
         (0.0, 0.0, 0.0), 'origin of the local frame, latitude °, longitude °, height m; all 0: the first fix'
     )
-    map_frame: str = parameter('map', 'frame of the local east-north-up coordinates')
-    body_frame: str = parameter('base_link', 'frame of the IMU, forward, left, up')
 
     def __post_init__(self) -> None:
         if not -90.0 <= self.origin[0] <= 90.0:
             raise ParameterError(f"parameter 'origin' has latitude {self.origin[0]:g}, allowed: -90 … 90")
+
+
+@dataclass(frozen=True, slots=True)
+class BaseParams:
+    """A DGPS base receiver at a known position."""
+
+    position: tuple = parameter((0.0, 0.0, 0.0), 'antenna: latitude °, longitude °, ellipsoidal height m')
+    elevation_mask: float = parameter(
+        math.radians(5.0), 'satellites below are not corrected', unit='rad', minimum=0.0, maximum=1.5
+    )
+    smoothing: float = parameter(
+        100.0, 'carrier smoothing of the codes', unit='s', minimum=1.0, maximum=3600.0
+    )
+    slip_limit: float = parameter(
+        10.0, 'code minus smoothed code taken for a cycle slip', unit='m', minimum=0.5
+    )
+    position_limit: float = parameter(
+        30.0, 'offset of the own fix at which the position counts as wrong', unit='m', minimum=1.0
+    )
+    rate_threshold: float = parameter(
+        0.2, 'range-rate corrections below are noise and sent as 0', unit='m/s', minimum=0.0
+    )
+    position_epochs: int = parameter(10, 'epochs averaged for that', minimum=1)
+
+    def __post_init__(self) -> None:
+        if not -90.0 <= self.position[0] <= 90.0:
+            raise ParameterError(f"parameter 'position' has latitude {self.position[0]:g}, allowed: -90 … 90")
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorParams:
+    """The UAV simulator: one scenario, published in real time."""
+
+    trajectory: str = parameter(
+        'constant', 'motion of the craft', choices=('constant', 's_turns', 'flight', 'literal')
+    )
+    satellites: str = parameter('open_sky', 'paper, open_sky, or the path of a RINEX navigation file')
+    budget: str = parameter('dgps', 'range errors', choices=('dgps', 'standalone', 'noiseless'))
+    white: bool = parameter(False, 'redraw all range errors each epoch')
+    selective_availability: float = parameter(0.0, 'bound of SA', unit='m', minimum=0.0)
+    imu: str = parameter('hg1700', 'class of the IMU', choices=('hg1700', 'paper', 'mems', 'perfect'))
+    imu_rate: float = parameter(100.0, 'rate of the IMU', unit='Hz', minimum=1.0, maximum=1000.0)
+    gnss_rate: float = parameter(1.0, 'rate of GNSS', unit='Hz', minimum=0.1, maximum=20.0)
+    duration: float = parameter(500.0, 'length, after which the node ends', unit='s', minimum=1.0)
+    outage_start: float = parameter(0.0, 'start of an outage', unit='s', minimum=0.0)
+    outage_end: float = parameter(0.0, 'its end; not after the start: none', unit='s', minimum=0.0)
+    outage_left: int = parameter(0, 'satellites left during the outage', minimum=0)
+    seed: int = parameter(0, 'decides all random errors', minimum=0)
+    speed: float = parameter(1.0, 'times real time', minimum=0.01, maximum=1000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class RinexParams:
+    """Replay of a receiver's RINEX files."""
+
+    observations: str = parameter('', 'path of the RINEX observation file')
+    navigation: str = parameter('', 'paths of RINEX navigation files, separated by commas')
+    topic: str = parameter('gnss/observations', 'where the epochs go')
+    time_scale: str = parameter(
+        'gps', 'header stamps: GPS time written as Unix seconds, or UTC', choices=('gps', 'utc')
+    )
+    leap_seconds: int = parameter(18, 'GPS minus UTC', unit='s', minimum=0, maximum=60)
+    atmosphere: bool = parameter(True, 'model ionosphere (Klobuchar) and troposphere (Saastamoinen)')
+    speed: float = parameter(1.0, 'times real time', minimum=0.01, maximum=1000.0)
+    frame: str = parameter('gnss', 'frame id of the antenna')

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages to samples and estimates to messages, and the ports of the estimator and the DGPS base.
+
+The one place where forward-left-up and ENU (messages) meet forward-right-down and NED (the filter).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ins_gps.dgps import DgpsBase
+from ins_gps.estimator import InsGpsEstimator, warm
+from ins_gps.params import BaseParams, FilterParams
+from ins_gps.samples import (
+    CORRECTION_FIELDS,
+    OBSERVATION_FIELDS,
+    BiasEstimate,
+    Corrections,
+    FixEstimate,
+    GnssEpoch,
+    ImuSample,
+    NavigationEstimate,
+    PositionSample,
+    SettledEstimate,
+    VelocitySample,
+)
+from kalman_core.rotation import quat_multiply
+from node_core.messages import finite3, set_bytes, set_quaternion, set_stamp, stamp_of
+from node_core.ports import BadMessage, Input, Output, Ports
+
+IMU = 'sensor_msgs/msg/Imu'
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+FIX = 'sensor_msgs/msg/NavSatFix'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+TWIST = 'geometry_msgs/msg/TwistWithCovarianceStamped'
+_FLOAT64 = 8  # sensor_msgs/PointField.FLOAT64
+_FIELD = 'sensor_msgs/msg/PointField'
+# q_enu_ned and q_frd_flu: half turns about (1, 1, 0)/√2 and about x.
+_ENU_NED = np.array([0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0])
+_FLIP = np.array([0.0, 1.0, 0.0, 0.0])
+# Rotates error vectors of NED into ENU, and of forward-right-down into forward-left-up.
+_MAT_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+_MAT_FLU_FRD = np.diag([1.0, -1.0, -1.0])
+_COVARIANCE_UNKNOWN = 0
+_COVARIANCE_KNOWN = 3
+_NO_FIX, _FIX = -1, 0
+# Gyro bias and noise are not in the 9 states that an estimate carries.
+_RATE_VARIANCE = 1e-4  # (rad/s)²
+
+
+def decode_imu(message: Any) -> ImuSample:
+    """Decode a sensor_msgs/Imu into forward-right-down."""
+    stamp = stamp_of(message)
+    x, y, z = finite3(message.angular_velocity, 'angular velocity')
+    ax, ay, az = finite3(message.linear_acceleration, 'specific force')
+    return ImuSample(stamp, np.array([x, -y, -z]), np.array([ax, -ay, -az]))
+
+
+def _table(message: Any, names: tuple[str, ...]) -> np.ndarray:
+    """Return (m, len(names)) of a cloud's FLOAT64 fields by name; BadMessage for another layout."""
+    count, step = message.width * message.height, message.point_step
+    data = np.asarray(message.data, dtype=np.uint8)
+    if message.is_bigendian or step <= 0 or len(data) < count * step:
+        raise BadMessage('cloud has a wrong size or byte order')
+    offsets = {f.name: f.offset for f in message.fields if f.datatype == _FLOAT64 and f.count <= 1}
+    cells = data[: count * step].reshape(count, step)
+    out = np.empty((count, len(names)))
+    for column, name in enumerate(names):
+        offset = offsets.get(name)
+        if offset is None or offset + 8 > step:
+            raise BadMessage(f"cloud has no FLOAT64 field '{name}'")
+        out[:, column] = np.ascontiguousarray(cells[:, offset : offset + 8]).view('<f8')[:, 0]
+    return out
+
+
+def decode_observations(message: Any) -> GnssEpoch:
+    """Decode a cloud of `OBSERVATION_FIELDS`; NaN means not measured."""
+    return GnssEpoch(stamp_of(message), _table(message, OBSERVATION_FIELDS))
+
+
+def decode_corrections(message: Any) -> Corrections:
+    """Decode a cloud of `CORRECTION_FIELDS`."""
+    return Corrections(stamp_of(message), _table(message, CORRECTION_FIELDS))
+
+
+def decode_fix(message: Any) -> PositionSample:
+    """Decode a NavSatFix; BadMessage without a fix or a usable covariance."""
+    stamp = stamp_of(message)
+    if message.status.status < 0:
+        raise BadMessage('no fix')
+    lat, lon, height = message.latitude, message.longitude, message.altitude
+    if not math.isfinite(lat + lon + height) or abs(lat) > 90.0 or abs(lon) > 360.0:
+        raise BadMessage('position not finite or out of range')
+    if message.position_covariance_type == _COVARIANCE_UNKNOWN:
+        raise BadMessage('covariance unknown')
+    enu = np.asarray(message.position_covariance, dtype=float).reshape(3, 3)
+    return PositionSample(stamp, np.array([math.radians(lat), math.radians(lon), height]), _positive(enu))
+
+
+def _positive(enu: np.ndarray) -> np.ndarray:
+    """Return a covariance turned from ENU to NED; BadMessage unless it is positive definite."""
+    if not np.isfinite(enu).all() or np.linalg.eigvalsh(0.5 * (enu + enu.T))[0] <= 0.0:
+        raise BadMessage('covariance not positive definite')
+    return _MAT_ENU_NED.T @ (0.5 * (enu + enu.T)) @ _MAT_ENU_NED
+
+
+def decode_velocity(message: Any) -> VelocitySample:
+    """Decode a TwistWithCovarianceStamped whose linear part is velocity in ENU."""
+    stamp = stamp_of(message)
+    velocity = np.array(finite3(message.twist.twist.linear, 'velocity'))
+    covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)[:3, :3]
+    return VelocitySample(stamp, _MAT_ENU_NED.T @ velocity, _positive(covariance))
+
+
+def _encode_table(message: Any, rows: np.ndarray, names: tuple[str, ...], make_field: Any) -> None:
+    if len(message.fields) != len(names):
+        fields = []
+        for index, name in enumerate(names):
+            field = make_field()
+            field.name, field.offset, field.datatype, field.count = name, 8 * index, _FLOAT64, 1
+            fields.append(field)
+        message.fields = fields
+        message.height, message.point_step = 1, 8 * len(names)
+        message.is_bigendian, message.is_dense = False, False
+    message.width = len(rows)
+    message.row_step = 8 * len(names) * len(rows)
+    set_bytes(message, 'data', np.ascontiguousarray(rows, dtype='<f8').tobytes())
+
+
+def _field_maker(message: Any) -> Any:
+    """Return a constructor of PointField of the same kind (rclpy or rosbags) as the cloud."""
+    if type(message).__module__.startswith('sensor_msgs'):
+        from sensor_msgs.msg import PointField
+
+        return PointField
+    from bag_tools.bag import zeroed
+
+    return lambda: zeroed(_FIELD)
+
+
+def encode_observations(sample: GnssEpoch, message: Any, frame: str = 'gnss') -> None:
+    """Fill a PointCloud2 with one point per satellite and signal."""
+    set_stamp(message.header, sample.stamp)
+    message.header.frame_id = frame
+    _encode_table(message, sample.rows, OBSERVATION_FIELDS, _field_maker(message))
+
+
+def encode_corrections(sample: Corrections, message: Any) -> None:
+    """Fill a PointCloud2 with one point per corrected satellite."""
+    set_stamp(message.header, sample.stamp)
+    message.header.frame_id = 'gnss_base'
+    _encode_table(message, sample.rows, CORRECTION_FIELDS, _field_maker(message))
+
+
+def encode_imu(sample: ImuSample, message: Any, frame: str = 'base_link') -> None:
+    """Fill a sensor_msgs/Imu in forward-left-up; it carries no orientation."""
+    set_stamp(message.header, sample.stamp)
+    message.header.frame_id = frame
+    w, f = sample.rate.tolist(), sample.force.tolist()
+    rate, force = message.angular_velocity, message.linear_acceleration
+    rate.x, rate.y, rate.z = w[0], -w[1], -w[2]
+    force.x, force.y, force.z = f[0], -f[1], -f[2]
+    message.orientation_covariance[0] = -1.0  # REP-145: no orientation
+
+
+def body_quaternion(q_nb: np.ndarray) -> np.ndarray:
+    """Return base_link (forward-left-up) in ENU from forward-right-down in NED, wxyz."""
+    return quat_multiply(quat_multiply(_ENU_NED, q_nb), _FLIP)
+
+
+def ned_quaternion(q: np.ndarray) -> np.ndarray:
+    """Return forward-right-down in NED from base_link (forward-left-up) in ENU, wxyz."""
+    conjugate = _ENU_NED * np.array([1.0, -1.0, -1.0, -1.0])
+    return quat_multiply(quat_multiply(conjugate, q), _FLIP * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def encode_odometry(estimate: NavigationEstimate, message: Any) -> None:
+    """Fill a nav_msgs/Odometry: pose in the local ENU frame, twist in the body; covariances in those."""
+    set_stamp(message.header, estimate.stamp)
+    message.header.frame_id, message.child_frame_id = 'map', 'base_link'
+    x, y, z = estimate.enu.tolist()
+    position = message.pose.pose.position
+    position.x, position.y, position.z = x, y, z
+    q = body_quaternion(estimate.q_nb)
+    set_quaternion(message.pose.pose.orientation, q)
+    n = _MAT_ENU_NED
+    mat_bn = _body_from_ned(estimate.q_nb)
+    v = mat_bn @ estimate.velocity
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    linear.x, linear.y, linear.z = v.tolist()
+    w = estimate.rate.tolist()
+    angular.x, angular.y, angular.z = w[0], -w[1], -w[2]
+    P = estimate.covariance
+    pose = np.zeros((6, 6))
+    pose[:3, :3] = n @ P[:3, :3] @ n.T
+    pose[:3, 3:] = n @ P[:3, 6:9] @ n.T
+    pose[3:, :3] = pose[:3, 3:].T
+    pose[3:, 3:] = n @ P[6:9, 6:9] @ n.T
+    # The body's velocity also errs with the attitude: δ(Cᵀv) = Cᵀ(δv + v × φ).
+    vx, vy, vz = estimate.velocity
+    J = np.hstack([mat_bn, mat_bn @ np.array([[0.0, -vz, vy], [vz, 0.0, -vx], [-vy, vx, 0.0]])])
+    twist = np.zeros((6, 6))
+    twist[:3, :3] = J @ P[3:9, 3:9] @ J.T
+    twist[3:, 3:] = np.eye(3) * _RATE_VARIANCE
+    message.pose.covariance = pose.ravel()
+    message.twist.covariance = twist.ravel()
+
+
+def _body_from_ned(q_nb: np.ndarray) -> np.ndarray:
+    from kalman_core.rotation import matrix_from_quat
+
+    return _MAT_FLU_FRD @ matrix_from_quat(q_nb).T
+
+
+def encode_fix(estimate: FixEstimate, message: Any) -> None:
+    """Fill a NavSatFix of the IMU's reference point; covariance in ENU."""
+    set_stamp(message.header, estimate.stamp)
+    message.header.frame_id = 'base_link'
+    message.status.status, message.status.service = _FIX, 1
+    lat, lon, height = estimate.geodetic.tolist()
+    message.latitude, message.longitude, message.altitude = math.degrees(lat), math.degrees(lon), height
+    message.position_covariance = estimate.covariance.ravel()
+    message.position_covariance_type = _COVARIANCE_KNOWN
+
+
+def encode_biases(estimate: BiasEstimate, message: Any) -> None:
+    """Fill a TwistWithCovarianceStamped: linear accelerometer bias (m/s²), angular gyro bias (rad/s)."""
+    set_stamp(message.header, estimate.stamp)
+    message.header.frame_id = 'base_link'
+    b = estimate.values.tolist()
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    linear.x, linear.y, linear.z = b[0], -b[1], -b[2]
+    angular.x, angular.y, angular.z = b[3], -b[4], -b[5]
+    message.twist.covariance = np.diag(estimate.sigmas[:6] ** 2).ravel()
+
+
+INS_GPS_PORTS = Ports(
+    name='ins_gps_estimator',
+    params=FilterParams,
+    estimator=InsGpsEstimator,
+    inputs=(
+        Input('imu/data_raw', IMU, decode_imu, 'on_imu', timeout=0.5),
+        Input('gnss/observations', CLOUD, decode_observations, 'on_gnss'),
+        Input('gnss/corrections', CLOUD, decode_corrections, 'on_corrections'),
+        Input('gnss/fix', FIX, decode_fix, 'on_position'),
+        Input('gnss/velocity', TWIST, decode_velocity, 'on_velocity'),
+    ),
+    outputs={
+        NavigationEstimate: Output('odometry', ODOMETRY, encode_odometry),
+        SettledEstimate: Output('odometry_settled', ODOMETRY, encode_odometry),
+        FixEstimate: Output('position', FIX, encode_fix),
+        BiasEstimate: Output('imu/bias', TWIST, encode_biases),
+    },
+    warm=warm,
+)
+
+BASE_PORTS = Ports(
+    name='dgps_base',
+    params=BaseParams,
+    estimator=DgpsBase,
+    inputs=(Input('base/observations', CLOUD, decode_observations, 'on_gnss', timeout=5.0),),
+    outputs={Corrections: Output('gnss/corrections', CLOUD, encode_corrections)},
+)
+
+ESTIMATORS = {ports.name: ports for ports in (INS_GPS_PORTS, BASE_PORTS)}

@@ -43,8 +43,8 @@ _PUBLIC = {
     'event_time': 'EventTimeBuffer Model',
     'gates': 'GATES chi2_gate chi2_gates chi2_tail',
     'health': 'SensorTally Tally',
-    'linear': 'Filtered correct correct_scalar correct_sequential filter_series innovation_covariance '
-    'normalized_square predict propagate_covariance symmetrize update update_scalar',
+    'linear': 'Filtered cholesky cholesky_solve correct correct_scalar correct_sequential filter_series '
+    'innovation_covariance normalized_square predict propagate_covariance symmetrize update update_scalar',
     'noise': 'allan_deviation flicker gauss_markov quantise random_walk white',
     'parameters': 'ParameterError allowed build coerce default_yaml markdown_table parameter',
     'rotation': 'cross euler_from_quat matrix_from_quat quat_conjugate quat_from_euler quat_from_matrix '

@@ -6,6 +6,7 @@ from __future__ import annotations
 import importlib.util
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,7 +29,11 @@ _LEVELS = (OK, WARN, ERROR)
 def bus_opener(params: Mpu6050Params) -> Callable[[], I2cBus]:
     """Return what opens the bus of `params`; raise ParameterError when it can never be opened here."""
     if params.bus == 'fake':
-        return moving_chip_bus(params.address, params.fake_motion, params.fake_seed, time.monotonic_ns).open
+        # Made at the first contact: loading kernels must not use up the rest that its motion starts with.
+        chip = cache(
+            lambda: moving_chip_bus(params.address, params.fake_motion, params.fake_seed, time.monotonic_ns)
+        )
+        return lambda: chip().open()
     if importlib.util.find_spec('smbus2') is None:
         raise ParameterError(f"parameter 'bus' is {params.bus!r}: this needs the Python package smbus2")
     return lambda: LinuxI2cBus(params.bus)
@@ -106,8 +111,10 @@ class Mpu6050Node(WorkspaceNode):
         readings = self.driver.readings
         rate = (readings - self._readings_before) / max(now - self._reported_at, 1e-3)
         self._readings_before, self._reported_at = readings, now
-        if text != self._said:
-            self._said = text
+        # The part before the colon is the state; what follows may change every second.
+        state = text.partition(':')[0]
+        if state != self._said:
+            self._said = state
             self._say(level, text)
         name = self.get_fully_qualified_name().lstrip('/')
         return DiagnosticArray(status=[status(name, level, text, {'rate_hz': rate, **values})])

@@ -1,61 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The error-state update at the end of each block; model and sources: see `attitude_kernel`."""
+"""What happens at the end of each block: rest, motion, alignment; model: see `attitude_kernel`."""
 
 import math
 
 from numba import njit
 
+from imu_kalman.attitude_field import magnetic_update, turn_field
 from imu_kalman.attitude_layout import (
-    ACC_PSD,
     ACC_SUM,
+    ALIGNED,
     BIAS,
-    BIAS_PSD,
+    BROKEN,
     CORRECTION,
     COUNT,
     COV,
     DAMPING,
-    DIP_GATE,
+    FAILED,
     FORCE_N,
-    GAIN,
+    GRAVITY,
+    GRAVITY_NORM,
     GYR_SUM,
-    GYRO_PSD,
-    HALF,
     LEVEL,
     LEVEL_DECAY,
     LEVEL_MIN,
     LEVEL_SPAN,
+    LINK,
+    LINKED,
     MAG_COUNT,
-    MAG_DECAY,
-    MAG_DISTURBED,
-    MAG_LEVEL,
-    MAG_N,
-    MAG_NIS,
-    MAG_PSD,
-    MAG_RELEARNED,
-    MAG_SPAN,
-    MAG_STATUS,
-    MAG_USED,
+    MAG_WAIT,
     MOTION_ACC,
     MOTION_AGE,
     MOTION_NIS,
     MOTION_VEL,
-    NEW_DIP,
-    NEW_NORM,
-    NEW_TIME,
-    NORM_GATE,
+    OK,
     OMEGA_MAX,
     OMEGA_MIN,
     OMEGA_SHARE,
-    PH,
     PHI,
     POS,
     PRIOR,
-    RATE2,
-    REF_AGE,
-    REF_DIP,
-    REF_MEMORY,
-    REF_NORM,
-    REF_RECOVERY,
+    REALIGNING,
     REST_ACC,
     REST_FORCE,
     REST_GYR,
@@ -63,19 +47,18 @@ from imu_kalman.attitude_layout import (
     REST_RATE,
     REST_SPAN,
     REST_TIME,
-    ROT,
+    RIGID,
     ROW,
-    SCALE_PSD,
     SPAN,
+    START_SPAN,
     USE_MAG,
     VECTORS,
     VEL,
     N,
     Q,
 )
+from imu_kalman.attitude_linear import propagate, scalar_update, start_covariance, turn, whole_turn
 
-# Spans up to this age (s) of the field reference are averaged equally: a start needs a value at once.
-_REF_START = 2.0
 # Measured levels of motion and of magnetic disturbance rise this much faster than they decay: both start
 # suddenly.
 _ATTACK = 4.0
@@ -83,44 +66,10 @@ _ATTACK = 4.0
 _FREQUENCY_MEMORY = 10.0
 # Keeps the ratio finite before anything has moved ((m/s)²).
 _LEAST_VEL2 = 1e-9
-# Below this share of the horizontal field heading is not observable.
-_MIN_HORIZONTAL = 0.05
-
-
-@njit(cache=True, nogil=True)
-def turn(state, x, y, z):
-    """Left-multiply the attitude by the exponential of the rotation vector (x, y, z) [rad], exactly."""
-    h2 = 0.25 * (x * x + y * y + z * z)
-    h = math.sqrt(h2)
-    c = math.cos(h)
-    s = 0.5 * math.sin(h) / h if h > 1e-6 else 0.5
-    x *= s
-    y *= s
-    z *= s
-    q0, q1, q2, q3 = state[Q], state[Q + 1], state[Q + 2], state[Q + 3]
-    a0 = c * q0 - x * q1 - y * q2 - z * q3
-    a1 = c * q1 + x * q0 + y * q3 - z * q2
-    a2 = c * q2 - x * q3 + y * q0 + z * q1
-    a3 = c * q3 + x * q2 - y * q1 + z * q0
-    n = 1.0 / math.sqrt(a0 * a0 + a1 * a1 + a2 * a2 + a3 * a3)
-    state[Q] = a0 * n
-    state[Q + 1] = a1 * n
-    state[Q + 2] = a2 * n
-    state[Q + 3] = a3 * n
-
-
-@njit(cache=True, nogil=True)
-def inject(state, work, scale):
-    """Apply the correction ``gain * scale`` (N,) to attitude, bias, velocity and position, and sum it."""
-    gain = work[VECTORS, GAIN]
-    for i in range(N):
-        work[VECTORS, CORRECTION, i] += gain[i] * scale
-    turn(state, gain[0] * scale, gain[1] * scale, gain[2] * scale)
-    for i in range(3):
-        state[BIAS + i] += gain[3 + i] * scale
-    for i in range(2):
-        state[VEL + i] += gain[6 + i] * scale
-        state[POS + i] += gain[8 + i] * scale
+# At rest speed (m/s) and distance from the mean place (m) are below 0.05.
+_STILL_VAR = 0.05**2
+# At rest a tilt error (rad) beyond this and beyond 5 sigma is no accelerometer bias (0.5 m/s²).
+_REST_TILT = 0.05
 
 
 @njit(cache=True, nogil=True)
@@ -130,112 +79,15 @@ def clear_sums(state):
 
 
 @njit(cache=True, nogil=True)
-def transition(state, phi):
-    """Fill the (N, N) transition matrix of the block; its structure is described in `propagate`."""
-    span = state[SPAN]
-    fx, fy, fz = state[FORCE_N], state[FORCE_N + 1], state[FORCE_N + 2]
-    phi[:] = 0.0
-    for i in range(N):
-        phi[i, i] = 1.0
-    for i in range(3):
-        for j in range(3):
-            phi[i, 3 + j] = -state[ROT + 3 * i + j]
-    phi[6, 1] = fz
-    phi[6, 2] = -fy
-    phi[7, 0] = -fz
-    phi[7, 2] = fx
-    for i in range(2):
-        for j in range(3):
-            s = 0.0
-            for k in range(3):
-                s += phi[6 + i, k] * state[ROT + 3 * k + j]
-            # Constant force and bias over the block: the bias acts on velocity through half of the span.
-            phi[6 + i, 3 + j] = -0.5 * s
-            phi[8 + i, 3 + j] = -span / 6.0 * s
-            phi[8 + i, j] = 0.5 * span * phi[6 + i, j]
-        phi[8 + i, 6 + i] = span
-
-
-@njit(cache=True, nogil=True)
-def propagate(state, par, work, cov):
-    """Move `cov` over the block: ``cov = phi cov phi' + Q`` (phi is left in work[PHI])."""
-    phi = work[PHI]
-    half = work[HALF]
-    transition(state, phi)
-    for j in range(N):
-        for i in range(3):
-            s = cov[i, j]
-            for k in range(3, 6):
-                s += phi[i, k] * cov[k, j]
-            half[i, j] = s
-            half[3 + i, j] = cov[3 + i, j]
-        for i in range(6, 8):
-            s = cov[i, j]
-            t = cov[i + 2, j] + phi[i + 2, i] * cov[i, j]
-            for k in range(6):
-                s += phi[i, k] * cov[k, j]
-                t += phi[i + 2, k] * cov[k, j]
-            half[i, j] = s
-            half[i + 2, j] = t
-    for i in range(N):
-        for j in range(3):
-            s = half[i, j]
-            for k in range(3, 6):
-                s += half[i, k] * phi[j, k]
-            cov[i, j] = s
-            cov[i, 3 + j] = half[i, 3 + j]
-        for j in range(6, 8):
-            s = half[i, j]
-            t = half[i, j + 2] + half[i, j] * phi[j + 2, j]
-            for k in range(6):
-                s += half[i, k] * phi[j, k]
-                t += half[i, k] * phi[j + 2, k]
-            cov[i, j] = s
-            cov[i, j + 2] = t
-    span = state[SPAN]
-    attitude_var = par[GYRO_PSD] * span + par[SCALE_PSD] * state[RATE2]
-    for i in range(3):
-        cov[i, i] += attitude_var
-        cov[3 + i, 3 + i] += par[BIAS_PSD] * span
-    for i in range(6, 8):
-        cov[i, i] += par[ACC_PSD] * span
-    for i in range(N):
-        for j in range(i):
-            cov[i, j] = cov[j, i]
-
-
-@njit(cache=True, nogil=True)
-def scalar_update(state, cov, work, h, innovation, variance, considered):
-    """Correct with one scalar measurement of row `h` (N,) and noise `variance`.
-
-    With `considered` only heading and bias are corrected and the covariance is that of this smaller gain.
-    Returns the variance of the innovation.
-    """
-    ph = work[VECTORS, PH]
-    gain = work[VECTORS, GAIN]
-    s = variance
-    for i in range(N):
-        t = 0.0
+def hold_still(state, cov):
+    """Set velocity and position of the motion to zero, known well and independent of all else."""
+    state[VEL : POS + 2] = 0.0
+    state[LEVEL] = 0.0
+    for i in range(6, N):
         for j in range(N):
-            t += cov[i, j] * h[j]
-        ph[i] = t
-        s += h[i] * t
-    for i in range(N):
-        gain[i] = ph[i]
-    if considered:
-        gain[0] = 0.0
-        gain[1] = 0.0
-        for i in range(6, N):
-            gain[i] = 0.0
-    inverse = 1.0 / s
-    for i in range(N):
-        for j in range(i + 1):
-            # P - K h'P - P h K' + K s K', which for the full gain is the usual P - K s K'.
-            t = cov[i, j] + inverse * (gain[i] * gain[j] - gain[i] * ph[j] - ph[i] * gain[j])
-            cov[i, j] = t
-            cov[j, i] = t
-    inject(state, work, innovation * inverse)
-    return s
+            cov[i, j] = 0.0
+            cov[j, i] = 0.0
+        cov[i, i] = _STILL_VAR
 
 
 @njit(cache=True, nogil=True)
@@ -259,6 +111,7 @@ def rest_update(state, par, work, cov):
         state[REST_ACC + i] += weight * (state[ACC_SUM + i] * inverse - state[REST_ACC + i])
     if state[REST_TIME] < par[REST_SPAN]:
         return
+    hold_still(state, cov)
     h = work[VECTORS, ROW]
     for i in range(3):
         h[:] = 0.0
@@ -315,103 +168,85 @@ def motion_update(state, par, work, cov):
 
 
 @njit(cache=True, nogil=True)
-def magnetic_update(state, par, work, cov):
-    """Check the block's mean field against the reference and correct heading with it."""
-    span = state[SPAN]
-    inverse = 1.0 / state[MAG_COUNT]
-    mx = state[MAG_N] * inverse
-    my = state[MAG_N + 1] * inverse
-    mz = state[MAG_N + 2] * inverse
-    horizontal = math.sqrt(mx * mx + my * my)
-    norm = math.sqrt(horizontal * horizontal + mz * mz)
-    dip = math.atan2(-mz, horizontal)
-    disturbance = field_disturbance(state, par, norm, dip, span)
-    if not field_accepted(state, par, norm, dip, span):
-        return
-    if horizontal < _MIN_HORIZONTAL * norm:
-        return
-    # A disturbance e of any direction turns the horizontal field by e / cos(dip).
-    variance = (par[MAG_PSD] + par[MAG_SPAN] * disturbance / math.cos(state[REF_DIP]) ** 2) / span
-    h = work[VECTORS, ROW]
-    h[:] = 0.0
-    slope = mz / (horizontal * horizontal)
-    h[0] = -mx * slope
-    h[1] = -my * slope
-    h[2] = 1.0
-    innovation = math.atan2(mx, my)
-    total = scalar_update(state, cov, work, h, innovation, variance, True)
-    state[MAG_NIS] = innovation * innovation / total
+def align(state, par, work, cov):
+    """Turn the attitude so that the specific force summed since the start points up.
 
-
-@njit(cache=True, nogil=True)
-def field_disturbance(state, par, norm, dip, span):
-    """Follow the mean square of the field's relative disturbance by strength and dip; return the larger of
-    it and this block's.
+    The sum is taken in local level as it is believed, so it may turn by any angle; a linear update could not
+    follow. Motion that stays in place adds little to a sum over a second.
     """
-    if state[REF_AGE] == 0.0:
-        state[REF_NORM] = norm
-        state[REF_DIP] = dip
-    strength = norm / state[REF_NORM] - 1.0
-    angle = dip - state[REF_DIP]
-    shown = 0.5 * (strength * strength + angle * angle)
-    rate = _ATTACK if shown > state[MAG_LEVEL] else 1.0
-    state[MAG_LEVEL] += (shown - state[MAG_LEVEL]) * min(1.0, rate * span / par[MAG_DECAY])
-    return max(shown, state[MAG_LEVEL])
+    for i in range(3):
+        state[GRAVITY + i] += state[FORCE_N + i]
+    gx, gy, gz = state[GRAVITY], state[GRAVITY + 1], state[GRAVITY + 2]
+    horizontal = math.sqrt(gx * gx + gy * gy)
+    start_covariance(state, par, cov)
+    state[VEL : POS + 2] = 0.0
+    link = work[VECTORS, LINK]
+    link[0] = BROKEN if state[ALIGNED] < 0.0 else RIGID
+    state[ALIGNED] = max(state[ALIGNED], 0.0) + state[SPAN]
+    if horizontal > 0.0 or gz < 0.0:
+        angle = math.atan2(horizontal, gz)
+        x = angle * gy / horizontal if horizontal > 0.0 else angle
+        y = -angle * gx / horizontal if horizontal > 0.0 else 0.0
+        turn(state, x, y, 0.0)
+        turn_field(state, x, y)
+    state[GRAVITY] = 0.0
+    state[GRAVITY + 1] = 0.0
+    state[GRAVITY + 2] = math.sqrt(horizontal * horizontal + gz * gz)
 
 
 @njit(cache=True, nogil=True)
-def field_accepted(state, par, norm, dip, span):
-    """Gate strength (T) and dip (rad, down positive) against the reference; follow or relearn it."""
-    if state[REF_AGE] == 0.0:
-        state[REF_NORM] = norm
-        state[REF_DIP] = dip
-    if (
-        abs(norm - state[REF_NORM]) <= par[NORM_GATE] * state[REF_NORM]
-        and abs(dip - state[REF_DIP]) <= par[DIP_GATE]
-    ):
-        state[REF_AGE] += span
-        memory = state[REF_AGE] if state[REF_AGE] < _REF_START else par[REF_MEMORY]
-        weight = min(1.0, span / memory)
-        state[REF_NORM] += weight * (norm - state[REF_NORM])
-        state[REF_DIP] += weight * (dip - state[REF_DIP])
-        state[NEW_TIME] = 0.0
-        state[MAG_STATUS] = MAG_USED
-        return True
-    state[MAG_STATUS] = MAG_DISTURBED
-    same = abs(norm - state[NEW_NORM]) <= par[NORM_GATE] * state[NEW_NORM]
-    if state[NEW_TIME] == 0.0 or not same or abs(dip - state[NEW_DIP]) > par[DIP_GATE]:
-        state[NEW_NORM] = norm
-        state[NEW_DIP] = dip
-        state[NEW_TIME] = span
-        return False
-    state[NEW_TIME] += span
-    weight = span / state[NEW_TIME]
-    state[NEW_NORM] += weight * (norm - state[NEW_NORM])
-    state[NEW_DIP] += weight * (dip - state[NEW_DIP])
-    if state[NEW_TIME] < par[REF_RECOVERY]:
-        return False
-    state[REF_NORM] = state[NEW_NORM]
-    state[REF_DIP] = state[NEW_DIP]
-    state[NEW_TIME] = 0.0
-    state[MAG_STATUS] = MAG_RELEARNED
-    return True
+def tilt_plausible(state, par, cov):
+    """Follow the specific force in local level over `start_time`; False when it contradicts the attitude.
+
+    Only a wrong attitude makes the mean of a bounded motion point below 45°; at rest any tilt beyond its
+    uncertainty is wrong.
+    """
+    if state[REST_TIME] >= par[REST_SPAN]:
+        shown = math.sqrt(state[FORCE_N] ** 2 + state[FORCE_N + 1] ** 2) / (GRAVITY_NORM * state[SPAN])
+        if shown > max(_REST_TILT, 5.0 * math.sqrt(cov[0, 0] + cov[1, 1])):
+            return False
+    keep = max(0.0, 1.0 - state[SPAN] / max(par[START_SPAN], state[SPAN]))
+    for i in range(3):
+        state[GRAVITY + i] = keep * state[GRAVITY + i] + state[FORCE_N + i]
+    gx, gy, gz = state[GRAVITY], state[GRAVITY + 1], state[GRAVITY + 2]
+    return gx * gx + gy * gy <= gz * abs(gz)
 
 
 @njit(cache=True, nogil=True)
 def close_block(state, par, work):
-    """Propagate the covariance over the block and apply its measurements; False when numerics failed."""
+    """Propagate the covariance over the block and apply its measurements.
+
+    Returns OK, REALIGNING (the attitude contradicts gravity; alignment begins) or FAILED (numerics).
+    """
     cov = state[COV:].reshape(N, N)
+    code = OK
+    work[VECTORS, LINK, 0] = LINKED
     propagate(state, par, work, cov)
     work[PRIOR, :, :] = cov
     work[VECTORS, CORRECTION] = 0.0
+    before = work[VECTORS, LINK, 1:5]
+    before[:] = state[Q : Q + 4]
     rest_update(state, par, work, cov)
-    motion_update(state, par, work, cov)
+    if state[ALIGNED] < par[START_SPAN]:
+        align(state, par, work, cov)
+    else:
+        motion_update(state, par, work, cov)
+        if not tilt_plausible(state, par, cov):
+            # Negative: nothing of what was believed before is carried over.
+            state[ALIGNED] = -1.0
+            state[GRAVITY : GRAVITY + 3] = 0.0
+            code = REALIGNING
+    state[MAG_WAIT] += state[SPAN]
     if par[USE_MAG] != 0.0 and state[MAG_COUNT] > 0.0:
         magnetic_update(state, par, work, cov)
+    if work[VECTORS, LINK, 0] != LINKED:
+        whole_turn(state, before, work[VECTORS, CORRECTION])
     clear_sums(state)
     trace = 0.0
     for i in range(N):
         if not cov[i, i] >= 0.0:
-            return False
+            return FAILED
         trace += cov[i, i]
-    return math.isfinite(trace + state[Q] + state[VEL] + state[VEL + 1] + state[POS] + state[POS + 1])
+    if not math.isfinite(trace + state[Q] + state[VEL] + state[VEL + 1] + state[POS] + state[POS + 1]):
+        return FAILED
+    return code

@@ -6,9 +6,14 @@ the specific force un-normalised into local level and sum what the update needs;
 per block (`block` s, about ten samples), which is exact for the bias because the integral of the rotation
 matrix is summed.
 
-Error state (10), ``truth = exp(theta_n) * estimate`` and ``truth = estimate + error`` for the rest:
-attitude theta_n (3), gyro bias b (3), horizontal velocity v (2), horizontal position p (2). Velocity and
-position are those of a motion that stays where it is: a second-order Gauss-Markov process
+Error state (10): attitude theta_n (3), gyro bias b (3), horizontal velocity v (2) and position p (2), with
+
+    truth = exp(theta_n) * estimate           attitude, velocity, position (+ v, + p)
+    truth = estimate + b                      bias,
+
+so that velocity and position turn with the attitude. The transition then contains gravity and no measured
+force, and heading, which no accelerometer shows, stays unobservable in the covariance too.
+Velocity and position are those of a motion that stays where it is: a second-order Gauss-Markov process
 
     a = -2 zeta w0 v - w0² p + w,     w white with density q,
 
@@ -18,18 +23,20 @@ of a floor and what the innovations show, and w0 follows the frequency of the mo
 The magnetic field corrects heading (and through it the bias) only; tilt and motion are considered, not
 corrected (Schmidt's consider update).
 
-Sources: Sola (2017) for the multiplicative error state; Gelb, "Applied Optimal Estimation" (1974), for
-shaping filters and consider updates; the motion model in this role is this package's own.
+Sources: Sola (2017) for the multiplicative error state; Barrau and Bonnabel, "The invariant extended Kalman
+filter as a stable observer" (2017), for errors that turn with the attitude; Gelb, "Applied Optimal
+Estimation" (1974), for shaping filters and consider updates; the motion model in this role is this
+package's own.
 """
 
 import math
 
-import numpy as np
 from numba import njit
 
 from imu_kalman.attitude_block import clear_sums, close_block
 from imu_kalman.attitude_layout import (
     ACC_SUM,
+    ALIGNED,
     BIAS,
     BIAS_VAR,
     BLOCK,
@@ -39,21 +46,27 @@ from imu_kalman.attitude_layout import (
     DELAY_VAR,
     FAILED,
     FORCE_N,
+    GRAVITY,
     GYR_SUM,
     HEADING_VAR,
+    HELD,
+    JUMPS,
+    LAST_ACC,
     LAST_DT,
+    LAST_GYR,
     LEVEL,
     LEVEL_MIN,
     MAG_COUNT,
     MAG_DELAY,
     MAG_N,
+    MAX_ANGULAR_ACC,
     MAX_GAP,
+    MAX_JERK,
     MIN_FORCE,
     MOTION_ACC,
     MOTION_AGE,
     NANOSEC,
     OK,
-    OMEGA_MIN,
     PHASE,
     POS,
     RATE,
@@ -63,15 +76,16 @@ from imu_kalman.attitude_layout import (
     ROT,
     SEC,
     SPAN,
-    START_VEL_VAR,
     STARTED,
-    TILT_VAR,
-    UNKNOWN_ANGLE_VAR,
     VEL,
     WAITING,
     N,
     Q,
 )
+from imu_kalman.attitude_linear import start_covariance
+
+# A fault that lasts longer than this many samples is believed: no check may lock the filter out.
+_MAX_JUMPS = 2
 
 
 @njit(cache=True, nogil=True)
@@ -82,16 +96,12 @@ def elapsed(state, sec, nanosec):
 
 @njit(cache=True, nogil=True)
 def start(state, par, ax, ay, az, keep_bias):
-    """Set attitude from one specific force (m/s²), heading unknown; clear sums and covariance.
-
-    Roll and pitch err by what the body accelerates; velocity and position of the motion are zero with the
-    variance of the motion model.
-    """
-    bias_var = np.zeros(3)
-    for i in range(3):
-        bias_var[i] = state[COV + (3 + i) * (N + 1)] if keep_bias else par[BIAS_VAR]
+    """Set roll and pitch from one specific force (m/s²), heading unknown, and begin the alignment."""
+    cov = state[COV:].reshape(N, N)
     if not keep_bias:
         state[:] = 0.0
+        for i in range(3, 6):
+            cov[i, i] = par[BIAS_VAR]
     half_roll = 0.5 * math.atan2(ay, az)
     half_pitch = 0.5 * math.atan2(-ax, math.sqrt(ay * ay + az * az))
     cr, sr = math.cos(half_roll), math.sin(half_roll)
@@ -101,21 +111,32 @@ def start(state, par, ax, ay, az, keep_bias):
     state[Q + 2] = cr * sp
     state[Q + 3] = -sr * sp
     state[VEL : POS + 2] = 0.0
+    state[RATE : RATE + 3] = 0.0
+    state[GRAVITY : ALIGNED + 1] = 0.0
     state[LEVEL] = par[LEVEL_MIN]
-    clear_sums(state)
     state[REST_TIME] = 0.0
-    state[COV:] = 0.0
     state[MOTION_ACC : MOTION_AGE + 1] = 0.0
-    vel_var = par[START_VEL_VAR]
-    pos_var = vel_var / par[OMEGA_MIN] ** 2
-    for i in range(2):
-        state[COV + i * (N + 1)] = par[TILT_VAR]
-        state[COV + (6 + i) * (N + 1)] = vel_var
-        state[COV + (8 + i) * (N + 1)] = pos_var
-    state[COV + 2 * (N + 1)] = UNKNOWN_ANGLE_VAR
-    for i in range(3):
-        state[COV + (3 + i) * (N + 1)] = bias_var[i]
+    clear_sums(state)
+    start_covariance(state, par, cov)
     state[PHASE] = 1.0
+
+
+@njit(cache=True, nogil=True)
+def wild(state, par, dt, gx, gy, gz, ax, ay, az):
+    """Whether the sample lies further from the last one than any motion could bring it in `dt` (s)."""
+    limit = par[MAX_ANGULAR_ACC] * dt
+    if (
+        abs(gx - state[LAST_GYR]) > limit
+        or abs(gy - state[LAST_GYR + 1]) > limit
+        or abs(gz - state[LAST_GYR + 2]) > limit
+    ):
+        return True
+    limit = par[MAX_JERK] * dt
+    return (
+        abs(ax - state[LAST_ACC]) > limit
+        or abs(ay - state[LAST_ACC + 1]) > limit
+        or abs(az - state[LAST_ACC + 2]) > limit
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -192,7 +213,8 @@ def strapdown(state, dt, gx, gy, gz, ax, ay, az):
 def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
     """Take one inertial sample (rad/s, m/s²) at sec + nanosec; update `state` in place.
 
-    Returns OK, STARTED, RESTARTED (after a gap; bias kept), WAITING (no direction to start from) or FAILED
+    Returns OK, STARTED, RESTARTED (after a gap; bias kept), WAITING (no direction to start from), HELD (a
+    wild jump; the last sample was used instead), REALIGNING (the attitude contradicted gravity) or FAILED
     (numerics; the next sample starts anew).
     """
     dt = elapsed(state, sec, nanosec)
@@ -203,14 +225,30 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
         code = STARTED if state[PHASE] == 0.0 else RESTARTED
         start(state, par, ax, ay, az, code == RESTARTED)
         dt = 0.0
-    else:
-        strapdown(state, dt, gx, gy, gz, ax, ay, az)
-        if state[SPAN] >= par[BLOCK] - 0.5 * dt and not close_block(state, par, work):
-            state[PHASE] = 0.0
-            code = FAILED
+    elif state[JUMPS] < _MAX_JUMPS and wild(state, par, dt, gx, gy, gz, ax, ay, az):
+        code = HELD
+        state[JUMPS] += 1.0
+        gx, gy, gz = state[LAST_GYR], state[LAST_GYR + 1], state[LAST_GYR + 2]
+        ax, ay, az = state[LAST_ACC], state[LAST_ACC + 1], state[LAST_ACC + 2]
+    if code != HELD:
+        state[JUMPS] = 0.0
+        state[LAST_GYR] = gx
+        state[LAST_GYR + 1] = gy
+        state[LAST_GYR + 2] = gz
+        state[LAST_ACC] = ax
+        state[LAST_ACC + 1] = ay
+        state[LAST_ACC + 2] = az
     state[SEC] = sec
     state[NANOSEC] = nanosec
     state[LAST_DT] = dt
+    if code in (OK, HELD):
+        strapdown(state, dt, gx, gy, gz, ax, ay, az)
+        if state[SPAN] >= par[BLOCK] - 0.5 * dt:
+            closed = close_block(state, par, work)
+            if closed != OK:
+                code = closed
+            if closed == FAILED:
+                state[PHASE] = 0.0
     return code
 
 

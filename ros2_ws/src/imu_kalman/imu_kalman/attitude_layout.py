@@ -39,7 +39,13 @@ MAG_NIS = 58
 LAST_DT = 59
 MOTION_ACC, MOTION_VEL, MOTION_AGE = 60, 61, 62  # mean squares that give the frequency of the motion
 MAG_LEVEL = 63  # mean square of the relative disturbance of the field
-COV = 64
+GRAVITY = 64  # specific force in local level, integrated: over the alignment, then with a short memory (3)
+ALIGNED = 67  # s of alignment done
+LAST_GYR, LAST_ACC = 68, 71  # last samples taken, for the check on wild jumps (3 each)
+JUMPS = 74  # samples held in a row
+MAG_WAIT = 75  # s since the last block with a field
+MAG_MEAN_NIS = 76
+COV = 77
 STATE = COV + N * N
 
 # Parameter vector.
@@ -77,18 +83,25 @@ STATE = COV + N * N
     DELAY_VAR,
     HEADING_VAR,
     START_VEL_VAR,
-) = range(33)
-PARAMS = 33
+    START_SPAN,
+    MAX_ANGULAR_ACC,
+    MAX_JERK,
+) = range(36)
+PARAMS = 36
 # Scratch (WORK, N, N): transition, half product, vectors (row by row below), covariance before the updates.
 WORK = 4
 PHI, HALF, VECTORS, PRIOR = range(WORK)
-PH, GAIN, ROW, CORRECTION = range(4)
+PH, GAIN, ROW, CORRECTION, LINK = range(5)
+# work[VECTORS, LINK, 0]: how the block hangs on the one before it, for the smoother.
+BROKEN, LINKED, RIGID = range(3)
 
 # Codes of `inertial_step`.
-OK, STARTED, RESTARTED, WAITING, FAILED = range(5)
+OK, STARTED, RESTARTED, WAITING, FAILED, REALIGNING, HELD = range(7)
 # Values of state[MAG_STATUS]: what the last block with a field did.
 MAG_NONE, MAG_USED, MAG_DISTURBED, MAG_RELEARNED = range(4)
 
+# Standard gravity (m/s²). Its error, and the accelerometer's scale, change tilt by that share only.
+GRAVITY_NORM = 9.80665
 # A wrapped angle of which nothing is known is uniform over the circle: variance pi²/3.
 UNKNOWN_ANGLE_VAR = math.pi**2 / 3.0
 
@@ -130,6 +143,9 @@ def pack(p: AttitudeParams) -> np.ndarray:
         DELAY_VAR: p.delay_sigma**2,
         HEADING_VAR: p.heading_sigma**2,
         START_VEL_VAR: p.start_speed**2,
+        START_SPAN: p.start_time,
+        MAX_ANGULAR_ACC: p.max_angular_acceleration,
+        MAX_JERK: p.max_jerk,
     }
     out = np.zeros(PARAMS)
     for index, value in values.items():

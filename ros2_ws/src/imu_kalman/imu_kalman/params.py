@@ -96,13 +96,20 @@ class AttitudeParams:
         7e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0, maximum=0.1
     )
     bias_sigma: float = parameter(
-        0.0175, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=1e-6, maximum=1.0
+        0.05, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=1e-6, maximum=1.0
     )
     accel_noise: float = parameter(
         0.02, 'white noise of the accelerometer', unit='m/s^2/sqrt(Hz)', minimum=1e-6, maximum=10.0
     )
     tilt_sigma: float = parameter(
         0.2, 'roll and pitch of the first sample, one sigma', unit='rad', minimum=1e-3, maximum=3.0
+    )
+    start_time: float = parameter(
+        1.0,
+        'time over which specific force is averaged for roll and pitch after a start',
+        unit='s',
+        minimum=0.0,
+        maximum=10.0,
     )
     start_speed: float = parameter(
         1.0, 'horizontal speed at the start, one sigma per axis', unit='m/s', minimum=1e-3, maximum=1e3
@@ -220,6 +227,20 @@ class AttitudeParams:
     )
     max_force: float = parameter(
         320.0, 'larger specific force is rejected', unit='m/s^2', minimum=10.0, maximum=1e5
+    )
+    max_angular_acceleration: float = parameter(
+        3000.0,
+        'a faster change of rate is taken for a fault for up to two samples',
+        unit='rad/s^2',
+        minimum=1.0,
+        maximum=1e9,
+    )
+    max_jerk: float = parameter(
+        3e4,
+        'a faster change of specific force is taken for a fault for up to two samples',
+        unit='m/s^3',
+        minimum=1.0,
+        maximum=1e9,
     )
     min_force: float = parameter(
         0.5, 'weaker specific force cannot start the filter', unit='m/s^2', minimum=1e-3, maximum=9.0

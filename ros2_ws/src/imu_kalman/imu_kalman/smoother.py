@@ -24,44 +24,47 @@ import numpy as np
 from numba import njit
 
 from imu_kalman.attitude_batch import AttitudeArrays, feed_fields, feed_inertial, prepare
-from imu_kalman.attitude_block import transition, turn
 from imu_kalman.attitude_kernel import carried
 from imu_kalman.attitude_layout import (
     BIAS,
+    BROKEN,
     CORRECTION,
     COUNT,
     COV,
     DELAY_VAR,
-    FORCE_N,
     HEADING_VAR,
-    OK,
+    LINK,
+    LINKED,
     PHASE,
     PHI,
     PRIOR,
     RATE,
     RESTARTED,
+    RIGID,
     ROT,
     SPAN,
     STARTED,
     STATE,
     VECTORS,
+    WAITING,
     WORK,
     N,
     Q,
     pack,
 )
+from imu_kalman.attitude_linear import transition, turn, whole_turn
 from imu_kalman.params import AttitudeParams
 
 _PAIRS = N * (N + 1) // 2
 # What one record holds: covariance before and after the updates (lower triangles), the correction, the
-# transition's ingredients (span, integrals of force and rotation) and the bias after the updates.
+# transition's ingredients (span, integral of the rotation) and the bias after the updates.
 _BEFORE = 0
 _AFTER = _PAIRS
 _CORRECTION = 2 * _PAIRS
 _SUMS = _CORRECTION + N
-_BIAS = _SUMS + 13
-_LINKED = _BIAS + 3
-_RECORD = _LINKED + 1
+_BIAS = _SUMS + 10
+_LINK = _BIAS + 3
+_RECORD = _LINK + 1
 # Smoothed: correction to the filtered state, covariance of attitude (upper triangle).
 _SMOOTHED = N + 6
 
@@ -86,21 +89,18 @@ def _unpack_triangle(packed, matrix):
 
 
 @njit(cache=True, nogil=True)
-def _record(state, work, linked, record):
+def _record(state, work, record):
     """Keep what the backward pass needs of a block that has just closed (or of a start)."""
     _pack_triangle(work[PRIOR], record[_BEFORE:_AFTER])
     _pack_triangle(state[COV:].reshape(N, N), record[_AFTER:_CORRECTION])
     record[_CORRECTION:_SUMS] = work[VECTORS, CORRECTION]
     phi = work[PHI]
     record[_SUMS] = phi[8, 6]
-    record[_SUMS + 1] = phi[7, 2]
-    record[_SUMS + 2] = -phi[6, 2]
-    record[_SUMS + 3] = phi[6, 1]
     for i in range(3):
         for j in range(3):
-            record[_SUMS + 4 + 3 * i + j] = -phi[i, 3 + j]
-    record[_BIAS:_LINKED] = state[BIAS : BIAS + 3]
-    record[_LINKED] = linked
+            record[_SUMS + 1 + 3 * i + j] = -phi[i, 3 + j]
+    record[_BIAS:_LINK] = state[BIAS : BIAS + 3]
+    record[_LINK] = work[VECTORS, LINK, 0]
 
 
 @njit(cache=True, nogil=True)
@@ -117,8 +117,10 @@ def forward(state, par, data, records, attitude, place, part):
         if data.usable[i]:
             code = feed_inertial(state, par, work, data, i)
             started = code in (STARTED, RESTARTED)
-            if started or (code == OK and state[COUNT] == 0.0):
-                _record(state, work, 0.0 if started else 1.0, records[count])
+            if started:
+                work[VECTORS, LINK, 0] = BROKEN
+            if started or (state[PHASE] != 0.0 and code != WAITING and state[COUNT] == 0.0):
+                _record(state, work, records[count])
                 count += 1
         for k in range(4):
             attitude[i, k] = state[Q + k]
@@ -206,19 +208,23 @@ def backward(records, count, smoothed):
         following = records[k + 1]
         _unpack_triangle(record[_AFTER:_CORRECTION], after)
         _unpack_triangle(following[_BEFORE:_AFTER], before)
+        if following[_LINK] == RIGID:
+            # Alignment turned the whole of local level: what is known later turns the past alike.
+            smoothed[k, :N] = 0.0
+            _compose(smoothed[k + 1], following[_CORRECTION:_SUMS], smoothed[k])
+            _attitude_triangle(cov, smoothed[k, N:])
+            continue
         for i in range(N):
             for j in range(N):
                 # The change of the covariance that is carried back, while `before` is not yet factored.
                 cov[i, j] -= before[i, j]
-        if following[_LINKED] == 0.0 or not _factor(before):
+        if following[_LINK] == BROKEN or not _factor(before):
             smoothed[k, :N] = 0.0
             cov[:] = after
         else:
             sums[SPAN] = following[_SUMS]
-            for i in range(3):
-                sums[FORCE_N + i] = following[_SUMS + 1 + i]
             for i in range(9):
-                sums[ROT + i] = following[_SUMS + 4 + i]
+                sums[ROT + i] = following[_SUMS + 1 + i]
             transition(sums, phi)
             _times_transition(phi, after, gain_t)
             _solve(before, gain_t)
@@ -241,6 +247,16 @@ def backward(records, count, smoothed):
                     cov[i, c] = s
                     cov[c, i] = s
         _attitude_triangle(cov, smoothed[k, N:])
+
+
+@njit(cache=True, nogil=True)
+def _compose(second, first, out):
+    """Write the rotation vector of the turn `first` followed by the turn `second` into out[:3]."""
+    state = np.zeros(STATE)
+    state[Q] = 1.0
+    turn(state, first[0], first[1], first[2])
+    turn(state, second[0], second[1], second[2])
+    whole_turn(state, np.array((1.0, 0.0, 0.0, 0.0)), out)
 
 
 @njit(cache=True, nogil=True)
@@ -267,7 +283,7 @@ def spread(par, data, records, count, smoothed, attitude, place, part, covarianc
             attitude[i] = np.nan
             continue
         share = 0.0
-        if part[i] > 0.0 and at + 1 < count and records[at + 1, _LINKED] != 0.0:
+        if part[i] > 0.0 and at + 1 < count and records[at + 1, _LINK] == LINKED:
             share = part[i] / records[at + 1, _SUMS]
         for k in range(_SMOOTHED):
             d[k] = smoothed[at, k]

@@ -88,7 +88,8 @@ class Hmc5883lDriver:
         self._step: Callable[[I2cDevice, int], list[MagReading]] = self._identify
         self._not_before: int | None = None
         self._triggered = 0
-        self._discard = 0
+        # The measurement after a change of gain is still made with the gain before.
+        self._old_gain = True
         self._last_data = 0
         self._next_check = 0
         self._previous = b''
@@ -164,7 +165,7 @@ class Hmc5883lDriver:
         else:
             device.write(CONFIG_A, _SELF_TEST_AVERAGES << 5 | POSITIVE_BIAS, _SELF_TEST_GAIN << 5)
             self._trigger(device)
-            self._discard = 1  # made with the gain before
+            self._old_gain = True
             self._step = self._finish_self_test
         return []
 
@@ -172,7 +173,7 @@ class Hmc5883lDriver:
         device.write(CONFIG_A, *self._settings())
         self._check_settings(device)
         self._trigger(device)
-        self._discard = 1
+        self._old_gain = True
         self._last_data = now
         self._next_check = now + int(_CHECK_PERIOD * _SECOND)
         self._equal = 0
@@ -202,8 +203,8 @@ class Hmc5883lDriver:
         data = self._fetch(device)
         if data is None:
             raise OSError('no measurement in the self-test')
-        if self._discard:
-            self._discard -= 1
+        old_gain, self._old_gain = self._old_gain, False
+        if old_gain:
             self._trigger(device)
             return []
         x, z, y = np.frombuffer(data, '>i2').tolist()
@@ -232,12 +233,11 @@ class Hmc5883lDriver:
         gain = GAINS[self._gain]
         x, z, y = np.frombuffer(data, '>i2').tolist()
         overflow = OVERFLOW in (x, y, z)
-        fresh = not self._discard
-        if overflow and fresh:
+        old_gain, self._old_gain = self._old_gain, False
+        if overflow and not old_gain:
             self._enlarge_range(device)
-        self._discard = max(self._discard - 1, 0) if not (overflow and fresh) else 1
         self._trigger(device)
-        if overflow or not fresh:
+        if overflow or old_gain:
             return []
         self._watch_frozen(data)
         self.link.works()
@@ -249,6 +249,7 @@ class Hmc5883lDriver:
         if self._gain < _MAX_RANGE:
             self._gain += 1
             device.write(CONFIG_B, self._gain << 5)
+            self._old_gain = True
 
     def _watch_frozen(self, data: bytes) -> None:
         self._equal = self._equal + 1 if data == self._previous else 0

@@ -101,6 +101,11 @@ class LinearSimulation:
         """Output of this instant."""
         return float(self._x[2])
 
+    @property
+    def rate(self) -> float:
+        """Rate of the output before the second lag."""
+        return float(self._x[1])
+
     def advance(self, u: float) -> float:
         """Hold the input `u` for one period; return the output after it."""
         p = self.plant

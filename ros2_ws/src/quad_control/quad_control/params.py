@@ -231,9 +231,6 @@ class ArmingParams:
     link_timeout: float = parameter(
         0.5, 'setpoint older than this is a lost link', unit='s', minimum=0.05, maximum=5.0
     )
-    link_range: float = parameter(
-        150.0, 'range of the radio link (paper); the simulator drops the link beyond', unit='m', minimum=1.0
-    )
     descent_rate: float = parameter(
         0.7, 'speed of a descent while a range is heard', unit='m/s', minimum=0.1, maximum=5.0
     )

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pilot for simulations and the page: fixed sticks, or a mission that takes off and hovers."""
+"""A pilot for simulations and the page: fixed sticks, or a mission that takes off and hovers in place."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from kalman_core.parameters import parameter
@@ -10,6 +11,8 @@ from quad_control.samples import Setpoint
 
 # The arm switch is tried again this often (s) while the controller refuses.
 _RETRY = 1.0
+# Sticks by eye: lean per metre and per m/s away from the start, at most this much (rad).
+_LEAN_POSITION, _LEAN_VELOCITY, _MOST_LEAN = 0.04, 0.1, 0.15
 
 
 @dataclass(frozen=True)
@@ -18,7 +21,7 @@ class PilotParams:
 
     mission: str = parameter(
         'manual',
-        'manual: the sticks below; hover: arm, climb to `height`, hold it; sticks still steer',
+        'manual: the sticks below; hover: arm, climb to `height`, stay there; sticks are added',
         choices=('manual', 'hover'),
         live=True,
     )
@@ -34,6 +37,9 @@ class PilotParams:
     climb_throttle: float = parameter(
         0.25, 'throttle of the take-off', unit='fraction', minimum=0.05, maximum=1.0, live=True
     )
+    link_range: float = parameter(
+        150.0, 'range of the radio link (paper): beyond it no setpoint goes out', unit='m', minimum=1.0
+    )
     rate: float = parameter(50.0, 'rate of setpoints', unit='Hz', minimum=5.0, maximum=500.0)
 
 
@@ -47,10 +53,16 @@ class Pilot:
         self._switch = False
         self._changed = 0
         self._up = False
+        # What the pilot sees: position (m, ENU), velocity (m/s, body), yaw (rad).
+        self.position = (0.0, 0.0, 0.0)
+        self.velocity = (0.0, 0.0, 0.0)
+        self.yaw = 0.0
 
-    def step(self, stamp: int) -> Setpoint:
-        """Return the sticks at `stamp` (ns)."""
+    def step(self, stamp: int) -> Setpoint | None:
+        """Return the sticks at `stamp` (ns), or None when the craft is out of the link's range."""
         p = self.params
+        if math.hypot(*self.position) > p.link_range:
+            return None
         if p.mission == 'manual':
             return Setpoint(stamp, p.roll, p.pitch, p.yaw_rate, p.throttle, p.arm, p.hold)
         armed = self.state == 'armed'
@@ -61,4 +73,19 @@ class Pilot:
                 self._switch, self._changed = not self._switch, stamp
             return Setpoint(stamp, 0.0, 0.0, 0.0, 0.0, self._switch)
         self._up = self._up or self.height > p.height
-        return Setpoint(stamp, p.roll, p.pitch, p.yaw_rate, p.climb_throttle, True, self._up)
+        roll, pitch = self._by_eye()
+        return Setpoint(stamp, p.roll + roll, p.pitch + pitch, p.yaw_rate, p.climb_throttle, True, self._up)
+
+    def _by_eye(self) -> tuple[float, float]:
+        """Return the lean (rad) that brings the craft back over its start."""
+        x, y, _ = self.position
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        ahead, left = c * x + s * y, c * y - s * x
+        forward = _LEAN_POSITION * ahead + _LEAN_VELOCITY * self.velocity[0]
+        sideways = _LEAN_POSITION * left + _LEAN_VELOCITY * self.velocity[1]
+        # Nose up (negative pitch) goes backwards, left side up (positive roll) goes to the right.
+        return _limited(sideways), _limited(-forward)
+
+
+def _limited(lean: float) -> float:
+    return min(max(lean, -_MOST_LEAN), _MOST_LEAN)

@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-from node_core.node import EstimatorNode
+from node_core.node import EstimatorNode, NodeParams
 from quad_control.codec import AXES, CONTROLLER_PORTS
 from quad_control.controller import AttitudeController
 from quad_control.params import GAINS, ControllerParams
@@ -29,6 +29,8 @@ class AttitudeControllerNode(EstimatorNode):
         for axis in AXES[:3]:
             self.create_service(Trigger, f'~/autotune_{axis}', self._autotune(axis))
         self.create_service(Trigger, '~/apply_proposal', self._on_apply)
+        # In lock-step time stands still between messages: silence then means nothing.
+        self._lockstep = self.parameters[NodeParams].lockstep
         self.create_timer(_WATCH, self._watch, clock=self.steady_clock)
 
     def _send(self, estimates: list) -> None:
@@ -41,7 +43,8 @@ class AttitudeControllerNode(EstimatorNode):
                 self.get_logger().info(f'{estimate.kind}: {text}')
 
     def _watch(self) -> None:
-        self._send(self._controller.on_tick(time.monotonic()))
+        if not self._lockstep:
+            self._send(self._controller.on_tick(time.monotonic()))
         self._send(self._controller.said())
         self._follow_revert()
 

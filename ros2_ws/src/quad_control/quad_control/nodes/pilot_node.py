@@ -9,6 +9,7 @@ from std_msgs.msg import String
 
 from node_core.node import WorkspaceNode, reliable
 from quad_control import codec
+from quad_control.attitude_error import heading
 from quad_control.pilot import Pilot, PilotParams
 from quad_control.samples import RangeSample
 
@@ -23,6 +24,7 @@ class PilotNode(WorkspaceNode):
         publisher, self._message = self.publish_to(codec.JOINTS, 'setpoint')
         self._publish = publisher.publish
         self.listen(codec.RANGE, 'range', self._on_range)
+        self.listen(codec.ODOMETRY, 'truth/odometry', self._on_truth)
         self.create_subscription(String, 'arming/state', self._on_arming, reliable(1, latched=True))
         self.create_timer(1.0 / self._pilot.params.rate, self._step, clock=self.steady_clock)
 
@@ -32,11 +34,20 @@ class PilotNode(WorkspaceNode):
     def _on_range(self, message: Any) -> None:
         self._pilot.height = RangeSample(0, message.range).height
 
+    def _on_truth(self, message: Any) -> None:
+        pilot, pose, twist = self._pilot, message.pose.pose, message.twist.twist
+        q, linear = pose.orientation, twist.linear
+        pilot.position = (pose.position.x, pose.position.y, pose.position.z)
+        pilot.velocity = (linear.x, linear.y, linear.z)
+        pilot.yaw = heading((q.w, q.x, q.y, q.z))
+
     def _on_arming(self, message: Any) -> None:
         self._pilot.state = message.data
 
     def _step(self) -> None:
         setpoint = self._pilot.step(self.get_clock().now().nanoseconds)
+        if setpoint is None:
+            return
         codec.encode_setpoint(setpoint, self._message)
         self._publish(self._message)
 

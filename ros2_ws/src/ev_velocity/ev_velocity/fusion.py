@@ -23,11 +23,11 @@ from ev_velocity.samples import (
     WheelRateSample,
     WheelSpeedSample,
 )
+from ev_velocity.velocity import origin_of
 from kalman_core.event_time import EventTimeBuffer
 from kalman_core.health import Tally
 
 SECOND = 1_000_000_000
-ORIGIN_MARGIN = 1000 * SECOND
 START_STEP = 0.002  # s, the paper's fast step, until two accelerometer samples have shown it
 START_ACCEL_VARIANCE = 1.0  # (m/s²)²
 FORCE_LIMIT = 60.0  # m/s²
@@ -61,6 +61,7 @@ class _Model:
     def __init__(self, params: FusionParams, tally: Tally) -> None:
         self._tally = tally
         self.origin: int | None = None
+        self.prompt: FusionEstimate | None = None
         self.state = np.zeros(kernels.SIZE)
         self.configure(params)
         self.reset()
@@ -83,14 +84,15 @@ class _Model:
 
     def apply(self, port: int, sample: Any) -> FusionEstimate | None:
         if self.origin is None:
-            self.origin = sample.stamp - ORIGIN_MARGIN
+            self.origin = origin_of(sample.stamp)
         self._tally.accept(NAMES[port], sample.stamp)
         return self._handlers[port](sample, float(sample.stamp - self.origin))
 
     def _force(self, sample: ForceSample, t: float) -> FusionEstimate:
         m = self.state
         kernels.fuse_step(m, self._constants, sample.force, t)
-        return FusionEstimate(sample.stamp, float(m[kernels.SPEED]), float(m[kernels.VARIANCE]))
+        self.prompt = FusionEstimate(sample.stamp, float(m[kernels.SPEED]), float(m[kernels.VARIANCE]))
+        return self.prompt
 
     def _signed(self, speed: float) -> float:
         return -speed if self.state[kernels.DIRECTION] < 0.0 else speed
@@ -139,6 +141,7 @@ class FusionEstimator:
         self.tally = Tally()
         self._model = _Model(params, self.tally)
         self._settled_output = params.settled_output
+        self._prompted = 0
         window = int(params.lag_window * SECOND)
         self._buffer = EventTimeBuffer(self._model, NAMES, self.tally, window=window)
 
@@ -154,6 +157,7 @@ class FusionEstimator:
     def reset(self) -> None:
         """Return to the initial state."""
         self._buffer.reset()
+        self._prompted = 0
 
     def on_force(self, sample: ForceSample) -> Any:
         """Take the accelerometer: the fast sensor, at whose stamps the estimate goes out."""
@@ -192,6 +196,12 @@ class FusionEstimator:
             self.tally.reject(NAMES[port], 'not finite or out of range')
             return None
         prompt, settled = self._buffer.feed(port, sample)
+        if port == FORCE:
+            if prompt is None and self._prompted < sample.stamp == self._buffer.newest:
+                # Another sensor's sample of the same stamp came first: the output is due all the same.
+                prompt = self._model.prompt
+            if prompt is not None:
+                self._prompted = sample.stamp
         if not settled or not self._settled_output:
             return prompt
         return [*([prompt] if prompt else []), *(SettledFusion(*estimate) for estimate in settled)]

@@ -72,8 +72,8 @@ def multirate_step(m, at, dt, q, r, corrected):
     f[M_P11] += q * dt
     if f[M_LEFT] <= 0.0:
         return
-    tau = (f[M_TOTAL] - f[M_LEFT]) * dt
     f[M_LEFT] -= 1.0
+    tau = (f[M_TOTAL] - f[M_LEFT]) * dt
     noise = r * f[M_TOTAL] if corrected else r
     # H = (1, −τ): the speed at the sample.
     p0 = f[M_P00] - tau * f[M_P01]

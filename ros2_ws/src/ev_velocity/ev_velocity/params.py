@@ -21,7 +21,7 @@ class VelocityParams:
         0.002, 'random walk of the accelerometer bias', unit='m/s²/√s', minimum=0.0, live=True
     )
     grade_noise: float = parameter(
-        0.009, 'random walk of g·sin(grade) with distance', unit='m/s²/√m', minimum=0.0, live=True
+        0.008, 'random walk of g·sin(grade) with distance', unit='m/s²/√m', minimum=0.0, live=True
     )
     bias_sigma: float = parameter(0.5, 'bias and grade at start', unit='m/s²', minimum=1e-3)
     pitch_gain: float = parameter(
@@ -114,13 +114,13 @@ class FusionParams:
         0.0, 'the wheel reads (1 + wheel_scale) times the road', minimum=-0.2, maximum=0.2
     )
     sigma_wheel: tuple = parameter(
-        (0.6, 0.5, 0.6, 0.5), 'σ of the wheel speed in the weights', unit='m/s', minimum=1e-4, live=True
+        (0.4, 0.4, 0.4, 0.4), 'σ of the wheel speed in the weights', unit='m/s', minimum=1e-4, live=True
     )
     sigma_gps: tuple = parameter(
-        (0.1, 0.1, 0.1, 0.1), 'σ of the GPS speed in the weights', unit='m/s', minimum=1e-4, live=True
+        (0.2, 0.1, 0.2, 0.1), 'σ of the GPS speed in the weights', unit='m/s', minimum=1e-4, live=True
     )
     sigma_accelerometer: tuple = parameter(
-        (0.015, 0.015, 0.015, 0.015),
+        (0.01, 0.007, 0.01, 0.007),
         'σ of one step of the integrated acceleration in the weights',
         unit='m/s',
         minimum=1e-4,

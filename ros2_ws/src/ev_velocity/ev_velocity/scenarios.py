@@ -118,11 +118,12 @@ def _gps(settings: Settings, t: np.ndarray, v: np.ndarray, rng: np.random.Genera
     return stamps[keep], speed[keep]
 
 
-def simulate(settings: Settings, seed: int, duration: float = DURATION) -> Drive:
-    """Return one drive of `duration` s under `settings`."""
+def simulate(settings: Settings, seed: int, duration: float = DURATION, car: int | None = None) -> Drive:
+    """Return one drive of `duration` s under `settings`; two drives of one `car` have the same wheels."""
     rng = np.random.default_rng(seed)
+    wheels = np.random.default_rng((seed if car is None else car, 1))
     t = np.arange(round(duration * RATE) + 1) / RATE
-    radius_error = settings.radius_error * rng.choice((-1.0, 1.0))
+    radius_error = settings.radius_error * wheels.choice((-1.0, 1.0))
     bias = settings.bias * rng.choice((-1.0, 1.0))
     hill_phase = rng.uniform(0.0, 2.0 * np.pi)
     tooth = rng.uniform(0.0, 1.0)
@@ -167,8 +168,8 @@ SCENARIOS: dict[str, Settings] = {
 }
 
 
-def scenario(name: str, seed: int) -> Drive:
+def scenario(name: str, seed: int, car: int | None = None) -> Drive:
     """Return the drive of scenario `name`; raises KeyError with the known names."""
     if name not in SCENARIOS:
         raise KeyError(f"unknown scenario '{name}'; known: {', '.join(SCENARIOS)}")
-    return simulate(SCENARIOS[name], seed)
+    return simulate(SCENARIOS[name], seed, car=car)

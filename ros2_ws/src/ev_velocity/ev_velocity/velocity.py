@@ -35,8 +35,9 @@ from kalman_core.event_time import EventTimeBuffer
 from kalman_core.health import Tally
 
 SECOND = 1_000_000_000
-# Stamps are kept relative to an origin this far before the first sample: late ones stay positive.
-ORIGIN_MARGIN = 1000 * SECOND
+# Stamps are kept relative to an origin that does not depend on which sample came first; 13 days in ns keep
+# late ones positive and all of them exact in a double.
+EPOCH = 2**50
 START_SPEED_SIGMA = 30.0  # m/s: a car on a road
 # What the wheel may turn out to be after it was refused for the lock-out time: another tyre, low pressure.
 REOPENED_SCALE_SIGMA = 0.05
@@ -53,6 +54,11 @@ FORCE, GPS, ANGLE, WHEEL_SPEED, PEDALS, GEAR = range(6)
 NAMES = ('accelerometer', 'gps', 'wheel angle', 'wheel speed', 'pedals', 'gear')
 REFUSAL = {GPS: 'gate', ANGLE: 'gate (slip)', WHEEL_SPEED: 'gate (slip)'}
 _LEARNED = (mem.B, mem.K, mem.S, mem.C, mem.TG, mem.TW)
+
+
+def origin_of(stamp: int) -> int:
+    """Return the origin (ns) of the kernel's times for a drive whose first sample has `stamp`."""
+    return (stamp // EPOCH - 1) * EPOCH
 
 
 def kernel_constants(params: VelocityParams) -> np.ndarray:
@@ -86,8 +92,8 @@ def kernel_constants(params: VelocityParams) -> np.ndarray:
     return c
 
 
-def start_memory(params: VelocityParams, time: float) -> np.ndarray:
-    """Return the memory (SIZE,) before the first sample, at `time` (ns since the origin)."""
+def start_memory(params: VelocityParams) -> np.ndarray:
+    """Return the memory (SIZE,) before the first sample."""
     x = np.zeros(mem.N)
     sigma = np.zeros(mem.N)
     sigma[mem.V] = START_SPEED_SIGMA
@@ -97,7 +103,7 @@ def start_memory(params: VelocityParams, time: float) -> np.ndarray:
     x[mem.C], sigma[mem.C] = params.slip, params.slip_sigma
     x[mem.TG], sigma[mem.TG] = params.gps_delay, params.gps_delay_sigma
     x[mem.TW], sigma[mem.TW] = params.wheel_delay, params.wheel_delay_sigma
-    return mem.fresh(x, sigma**2, time)
+    return mem.fresh(x, sigma**2)
 
 
 class _Model:
@@ -107,8 +113,9 @@ class _Model:
         self._scratch = np.zeros(mem.N)
         self._tally = tally
         self.origin: int | None = None
+        self.prompt: list = []
         self.configure(params)
-        self.state = start_memory(params, ORIGIN_MARGIN)
+        self.state = start_memory(params)
 
     def configure(self, params: VelocityParams) -> None:
         self.params = params
@@ -119,18 +126,19 @@ class _Model:
         )  # fmt: skip
 
     def reset(self) -> None:
-        self.state[:] = start_memory(self.params, ORIGIN_MARGIN)
+        self.state[:] = start_memory(self.params)
         self.origin = None
 
     def apply(self, port: int, sample: Any) -> Any:
         if self.origin is None:
-            self.origin = sample.stamp - ORIGIN_MARGIN
+            self.origin = origin_of(sample.stamp)
         return self._handlers[port](sample, float(sample.stamp - self.origin))
 
     def _force(self, sample: ForceSample, t: float) -> list:
         force_step(self.state, self._constants, sample.force, t)
         self._tally.accept(NAMES[FORCE], sample.stamp)
-        return self._outputs(sample.stamp, t)
+        self.prompt = self._outputs(sample.stamp, t)
+        return self.prompt
 
     def _outputs(self, stamp: int, t: float) -> list:
         m = self.state
@@ -199,7 +207,7 @@ class _Model:
     def _silent(self, stamp: int, t: float) -> list:
         """Give the speed at another sensor's sample while the accelerometer is silent."""
         m = self.state
-        if (t - m[mem.FORCE_TIME]) * 1e-9 <= self.params.max_gap:
+        if m[mem.FORCE_TIME] >= 0.0 and (t - m[mem.FORCE_TIME]) * 1e-9 <= self.params.max_gap:
             return []
         let_out(m, self._constants, self.params.bleed_time)
         return self._outputs(stamp, t)
@@ -227,6 +235,7 @@ class VelocityEstimator:
         self.tally = Tally()
         self._model = _Model(params, self.tally)
         self._settled_output = params.settled_output
+        self._prompted = 0
         self._buffer = EventTimeBuffer(self._model, NAMES, self.tally, window=int(params.lag_window * SECOND))
 
     @property
@@ -246,6 +255,7 @@ class VelocityEstimator:
     def reset(self) -> None:
         """Return to the initial state."""
         self._buffer.reset()
+        self._prompted = 0
 
     def learned(self) -> dict[str, float]:
         """Return wheel scale and slip as learned, by name of the parameter that starts them."""
@@ -311,6 +321,12 @@ class VelocityEstimator:
 
     def _feed(self, port: int, sample: Any) -> list | None:
         prompt, settled = self._buffer.feed(port, sample)
+        if port == FORCE:
+            if prompt is None and self._prompted < sample.stamp == self._buffer.newest:
+                # Another sensor's sample of the same stamp came first: the output is due all the same.
+                prompt = self._model.prompt
+            if prompt is not None:
+                self._prompted = sample.stamp
         if not settled or not self._settled_output:
             return prompt
         out = list(prompt) if prompt else []

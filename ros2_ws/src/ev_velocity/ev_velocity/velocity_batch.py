@@ -11,7 +11,8 @@ from numba import njit
 
 from ev_velocity import velocity_memory as mem
 from ev_velocity.params import VelocityParams
-from ev_velocity.velocity import GPS_SIGMA_FLOOR, ORIGIN_MARGIN, kernel_constants, start_memory
+from ev_velocity.scenarios import PULSES, Drive
+from ev_velocity.velocity import EPOCH, GPS_SIGMA_FLOOR, kernel_constants, start_memory
 from ev_velocity.velocity_kernels import force_step
 from ev_velocity.velocity_memory import OUT_ACCELERATION, OUT_SPEED, OUT_SPEED_VARIANCE, N, X
 from ev_velocity.velocity_updates import count_step, gps_step, speed_step
@@ -28,6 +29,16 @@ class Series(NamedTuple):
     states: np.ndarray  # (n, N)
     done: np.ndarray  # (events,) what each sample did, in event order
     memory: np.ndarray  # (SIZE,) at the end
+
+    def learned(self) -> dict[str, float]:
+        """Return wheel scale and slip as learned, by name of the parameter that starts them."""
+        variances = self.memory[mem.P : mem.P + mem.N**2 : mem.N + 1]
+        return {
+            'scale': float(self.memory[X + mem.S]),
+            'scale_sigma': math.sqrt(variances[mem.S]),
+            'slip': max(float(self.memory[X + mem.C]), 0.0),
+            'slip_sigma': math.sqrt(variances[mem.C]),
+        }
 
 
 @njit(cache=True, nogil=True)
@@ -51,6 +62,17 @@ def _run(m, constants, kinds, times, values, variances, out, states, done):
             done[i] = speed_step(m, constants, values[i], variances[i], times[i], h)
 
 
+def run_drive(params: VelocityParams, drive: Drive) -> Series:
+    """Filter a simulated drive."""
+    return run(
+        params,
+        (drive.t, drive.accelerometer),
+        gps=(drive.gps_t, drive.gps_v),
+        angle=(drive.wheel_t, drive.counts * (2.0 * math.pi / PULSES)),
+        gps_sigma=drive.settings.gps_noise,
+    )
+
+
 def run(
     params: VelocityParams,
     force: tuple[np.ndarray, np.ndarray],
@@ -72,9 +94,9 @@ def run(
     values = np.concatenate([s[2] for s in streams])
     order = np.lexsort((kinds, times))
     kinds, times, values = kinds[order], times[order], values[order]
-    times = times - times[0] + ORIGIN_MARGIN
+    times = times - times[0] + EPOCH
     sigma = params.gps_sigma if gps_sigma is None else max(gps_sigma, GPS_SIGMA_FLOOR)
-    m = start_memory(params, ORIGIN_MARGIN)
+    m = start_memory(params)
     n = int(np.count_nonzero(kinds == FORCE))
     out = np.zeros((n, 3))
     states = np.zeros((n, mem.N))

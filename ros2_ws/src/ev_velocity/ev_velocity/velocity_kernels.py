@@ -84,6 +84,9 @@ def predict(m, constants, t):
     First-order discretisation of v' = (f − b)/(1 + k); the grade's part of b walks with the distance
     driven, and faster while the innovations are larger than their covariance says.
     """
+    if m[TIME] < 0.0:
+        m[TIME] = t
+        return
     dt = (t - m[TIME]) * NS
     if dt <= 0.0:
         return
@@ -92,6 +95,8 @@ def predict(m, constants, t):
     gain = 1.0 / (1.0 + x[K])
     # A reading older than MAX_GAP no longer says how the car accelerates: coast, and say so in Q.
     held = max(0.0, min(dt, constants[MAX_GAP] - (m[TIME] - m[FORCE_TIME]) * NS))
+    if m[FORCE_TIME] < 0.0:
+        held = 0.0
     a = (m[FORCE] - x[B]) * gain
     dv = held * a
     v = x[V] + 0.5 * dv
@@ -204,7 +209,7 @@ def force_step(m, constants, force, t):
     m[FORCE] = force
     m[FORCE_TIME] = t
     predict(m, constants, t)
-    let_out(m, constants, (t - before) * NS)
+    let_out(m, constants, (t - before) * NS if before >= 0.0 else 0.0)
 
 
 @njit(cache=True, nogil=True)

@@ -19,7 +19,7 @@ import numpy as np
 N = 10
 V, B, K, S, C, TG, TW, W, D, PW = range(N)
 
-# Times are ns since the estimator's origin, exact in a double. "Since" times are −1 when nothing runs.
+# Times are ns since the estimator's origin, exact in a double, and −1 for what has not happened yet.
 (
     TIME,  # of x and P
     FORCE,  # last specific force, m/s²
@@ -45,6 +45,7 @@ V, B, K, S, C, TG, TW, W, D, PW = range(N)
     GPS_ACCEPTED,  # last one used
     NIS,  # of the last update
     SURPRISE,  # running mean of the normalised innovation squared
+    SURPRISE_TIME,
     SLIP,  # slip ratio of the last wheel sample
     ROAD_TIME,  # last odometry output
     OUT_SPEED,
@@ -52,8 +53,8 @@ V, B, K, S, C, TG, TW, W, D, PW = range(N)
     OUT_ACCELERATION,
     OUT_ACCELERATION_VARIANCE,
     RING_HEAD,
-) = range(31)
-X = 31
+) = range(32)
+X = 32
 P = X + N
 RING = P + N * N
 SLOTS = 128  # ring entries: 1.3 s at the ring's step of 10 ms, which holds every delay allowed
@@ -73,10 +74,10 @@ CONSTANTS = 21
 USED, REFUSED, REOPENED, SKIPPED, STARTED = range(5)
 
 
-def fresh(x: np.ndarray, variances: np.ndarray, time: float) -> np.ndarray:
-    """Return a memory (SIZE,) that starts at `time` (ns) from state `x` (N,) and `variances` (N,)."""
+def fresh(x: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    """Return a memory (SIZE,) before its first sample, with state `x` (N,) and `variances` (N,)."""
     m = np.zeros(SIZE)
-    m[[TIME, FORCE_TIME, ROAD_TIME]] = time
+    m[[TIME, FORCE_TIME, ROAD_TIME, SURPRISE_TIME]] = -1.0
     m[[COUNT_TIME, SPEED_TIME, WHEEL_TIME, WHEEL_ACCEPTED, GPS_ACCEPTED]] = -1.0
     m[[WHEEL_REFUSED_SINCE, GPS_REFUSED_SINCE]] = -1.0
     m[SURPRISE] = 1.0

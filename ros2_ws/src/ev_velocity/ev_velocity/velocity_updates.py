@@ -41,6 +41,7 @@ from ev_velocity.velocity_memory import (
     STILL_TIME,
     STILL_VARIANCE,
     SURPRISE,
+    SURPRISE_TIME,
     TG,
     TIME,
     TOOTH,
@@ -62,7 +63,9 @@ from ev_velocity.velocity_memory import (
     X,
 )
 
-# Weight of one normalised innovation squared in the running mean, and the most that one may say.
+# Time constant (s) of the mean normalised innovation squared, the most that one sample may weigh in it
+# (a sensor of 1 Hz), and the most that one may say.
+SURPRISE_TIME_CONSTANT = 20.0
 SURPRISE_WEIGHT = 0.05
 SURPRISE_LIMIT = 16.0
 # A GPS speed below so many σ is rectified noise: it says nothing of size or sign.
@@ -160,7 +163,10 @@ def _reopen_scale(m, constants):
 
 @njit(cache=True, nogil=True)
 def _surprised(m, nis):
-    m[SURPRISE] += SURPRISE_WEIGHT * (min(nis, SURPRISE_LIMIT) - m[SURPRISE])
+    elapsed = (m[TIME] - m[SURPRISE_TIME]) * NS
+    m[SURPRISE_TIME] = m[TIME]
+    weight = min(elapsed / SURPRISE_TIME_CONSTANT, SURPRISE_WEIGHT)
+    m[SURPRISE] += weight * (min(nis, SURPRISE_LIMIT) - m[SURPRISE])
 
 
 @njit(cache=True, nogil=True)
@@ -221,7 +227,7 @@ def _stand(m, constants, h):
         m[WHEEL_ACCEPTED] = m[TIME]
         return USED
     m[MOVED_TIME] = m[TIME]
-    return REFUSED
+    return SKIPPED
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import pytest
+
+from ev_velocity import calibration
+from ev_velocity import velocity_memory as mem
+from ev_velocity.params import VelocityParams
+from ev_velocity.velocity import VelocityEstimator
+from kalman_core.parameters import ParameterError
+
+
+@pytest.fixture
+def params(tmp_path):
+    return replace(VelocityParams(), calibration_file=str(tmp_path / 'car' / 'wheels.json'))
+
+
+def learned_estimator(params):
+    estimator = VelocityEstimator(params)
+    estimator.state[mem.X + mem.S] = -0.0123
+    estimator.state[mem.P + mem.S * (mem.N + 1)] = 0.002**2
+    return estimator
+
+
+def test_what_is_saved_starts_the_next_drive(params):
+    assert calibration.load(params) == params
+    assert calibration.save(learned_estimator(params))
+    again = calibration.calibrated(params)
+    assert again.params.scale == -0.0123
+    assert again.params.scale_sigma == pytest.approx((0.002**2 + calibration.AGEING_SIGMA**2) ** 0.5)
+    assert again.state[mem.X + mem.S] == -0.0123
+
+
+def test_a_drive_that_learned_nothing_spoils_no_file(params):
+    calibration.save(learned_estimator(params))
+    assert not calibration.save(calibration.calibrated(params))
+    assert calibration.load(params).scale == -0.0123
+    assert not calibration.save(VelocityEstimator())
+
+
+@pytest.mark.parametrize(
+    'text', ['{', '{}', '[]', '{"scale": 5.0, "scale_sigma": 1e-3, "slip": 0, "slip_sigma": 0}']
+)
+def test_a_bad_file_is_named(params, text, tmp_path):
+    path = tmp_path / 'car' / 'wheels.json'
+    path.parent.mkdir()
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=r'wheels\.json'):
+        calibration.load(params)

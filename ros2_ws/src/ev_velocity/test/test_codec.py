@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import numpy as np
+import pytest
+
+from bag_tools.bag import zeroed
+from ev_velocity import codec
+from ev_velocity.phases import Phase
+from ev_velocity.samples import (
+    AccelerationEstimate,
+    ConstantsEstimate,
+    GearSample,
+    PedalSample,
+    RoadEstimate,
+    SlipEstimate,
+    SpeedEstimate,
+    WheelRateSample,
+)
+from node_core.driver import EstimatorDriver
+from node_core.message_types import message_class
+from node_core.messages import set_floats, set_stamp, stamp_of
+from node_core.ports import BadMessage
+
+STAMP = 1_767_225_600_123_456_789
+
+
+def ros(kind):
+    return message_class(kind)()
+
+
+MAKERS = pytest.mark.parametrize('make', [zeroed, ros], ids=['rosbags', 'rclpy'])
+
+
+def joints(make, names, field, values):
+    message = make(codec.JOINTS)
+    set_stamp(message.header, STAMP)
+    message.name = list(names)
+    set_floats(message, field, values)
+    return message
+
+
+@MAKERS
+def test_inputs_are_read_by_field_name(make):
+    imu = make(codec.IMU)
+    set_stamp(imu.header, STAMP)
+    imu.linear_acceleration.x = 1.25
+    assert codec.decode_force(imu) == (STAMP, 1.25)
+    gps = make(codec.TWIST)
+    set_stamp(gps.header, STAMP)
+    gps.twist.twist.linear.x, gps.twist.twist.linear.y = 3.0, -4.0
+    gps.twist.covariance[0] = 0.04
+    assert codec.decode_gps(gps) == (STAMP, 5.0, 0.04)
+    assert codec.decode_encoder(joints(make, ['encoder'], 'position', [7.5])) == (STAMP, 7.5)
+    pedals = joints(make, ['brake', 'accelerator'], 'position', [0.0, 0.3])
+    assert codec.decode_pedals(pedals) == PedalSample(STAMP, 0.3, 0.0)
+    assert codec.decode_gear(joints(make, ['gear'], 'position', [-1.0])) == GearSample(STAMP, -1)
+    wheels = joints(make, ['wheel_a', 'wheel_b', 'motor'], 'velocity', [30.0, math.nan, 99.0])
+    assert codec.decode_wheels(wheels) == WheelRateSample(STAMP, (30.0,))
+
+
+@MAKERS
+def test_what_no_estimator_can_use_is_refused_with_its_reason(make):
+    imu = make(codec.IMU)
+    with pytest.raises(BadMessage, match='zero stamp'):
+        codec.decode_force(imu)
+    set_stamp(imu.header, STAMP)
+    imu.linear_acceleration.x = math.nan
+    with pytest.raises(BadMessage, match='not finite'):
+        codec.decode_force(imu)
+    gps = make(codec.TWIST)
+    set_stamp(gps.header, STAMP)
+    gps.twist.covariance[0] = math.nan
+    with pytest.raises(BadMessage, match='variance'):
+        codec.decode_gps(gps)
+    with pytest.raises(BadMessage, match="no 'encoder'"):
+        codec.decode_encoder(joints(make, ['other'], 'position', [1.0]))
+    with pytest.raises(BadMessage, match='2 names but 1 values'):
+        codec.decode_pedals(joints(make, ['brake', 'accelerator'], 'position', [0.0]))
+    with pytest.raises(BadMessage, match='gear 3'):
+        codec.decode_gear(joints(make, ['gear'], 'position', [3.0]))
+    with pytest.raises(BadMessage, match='no finite wheel rate'):
+        codec.decode_wheels(joints(make, ['wheel_a'], 'velocity', [math.nan]))
+
+
+@MAKERS
+def test_estimates_fill_their_messages_and_every_covariance(make):
+    def encoded(estimate):
+        output = codec.VELOCITY_PORTS.outputs[type(estimate)]
+        message = make(output.type)
+        output.encode(estimate, message)
+        assert stamp_of(message) == STAMP
+        return message
+
+    twist = encoded(SpeedEstimate(STAMP, 8.5, 0.01)).twist
+    assert twist.twist.linear.x == 8.5
+    diagonal = np.array(twist.covariance).reshape(6, 6)
+    np.testing.assert_array_equal(diagonal, np.diag([0.01] + [codec.UNKNOWN] * 5))
+    accel = encoded(AccelerationEstimate(STAMP, -2.0, 0.02)).accel
+    assert accel.accel.linear.x == -2.0
+    assert accel.covariance[0] == 0.02
+    odometry = encoded(RoadEstimate(STAMP, 120.0, 0.5, 8.5, 0.01))
+    assert odometry.pose.pose.position.x == 120.0
+    assert odometry.pose.covariance[0] == 0.5
+    assert odometry.twist.covariance[0] == 0.01
+    slip = encoded(SlipEstimate(STAMP, 0.4, Phase.BRAKING, True))
+    assert list(slip.name) == ['slip_ratio', 'phase', 'slipping']
+    assert list(slip.position) == [0.4, 2.0, 1.0]
+    learned = encoded(ConstantsEstimate(STAMP, tuple(range(6)), tuple(range(6, 12))))
+    assert list(learned.position) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert list(learned.effort) == [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]
+
+
+@pytest.mark.parametrize('name', codec.ESTIMATORS)
+def test_every_port_reaches_a_handler_and_bad_messages_are_counted(name):
+    ports = codec.ESTIMATORS[name]
+    driver = EstimatorDriver(ports, ports.params())
+    for port in ports.inputs:
+        assert driver.feed(port, zeroed(port.type)) == []
+    assert sum(entry.rejected.total() for entry in driver.tally.sensors.values()) == len(ports.inputs)
+
+
+def test_one_message_is_never_lost_when_stamps_are_equal():
+    ports = codec.VELOCITY_PORTS
+    driver = EstimatorDriver(ports, ports.params())
+    imu, gps = zeroed(codec.IMU), zeroed(codec.TWIST)
+    gps.twist.twist.linear.x = 5.0
+    given = 0
+    for i in range(1, 100):
+        for message, port in ((gps, ports.inputs[1]), (imu, ports.inputs[0])):
+            set_stamp(message.header, STAMP + i * 2_000_000)
+            given += sum(out.topic == 'vehicle/velocity' for out, _ in driver.feed(port, message))
+    assert given >= 99

@@ -28,10 +28,15 @@ _READ_ONLY = frozenset([*range(0x3A, 0x61), 0x72, 0x73, 0x75])
 
 
 class Moving(Protocol):
-    """What of a simulation_motion.Truth the chip feels."""
+    """What of a simulation_motion.Truth the chip feels: (n, 3) each, in its axes."""
 
-    rate: np.ndarray
-    force: np.ndarray
+    @property
+    def rate(self) -> np.ndarray:
+        """Angular velocity (rad/s)."""
+
+    @property
+    def force(self) -> np.ndarray:
+        """Specific force (m/s²)."""
 
 
 Motion = Callable[[np.ndarray], Moving]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attitude from inertial sensors: the two-state angle filter and a 9-axis error-state filter, simulator and MPU6050 driver."""
+"""Attitude from inertial sensors: two-state angle filter, 9-axis error-state filter, simulator, MPU6050 driver."""

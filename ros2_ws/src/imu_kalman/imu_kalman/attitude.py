@@ -16,6 +16,15 @@ from kalman_core.event_time import NANOSECONDS, EventTimeBuffer
 from kalman_core.health import Tally
 
 _IMU, _MAG = 'imu/data_raw', 'imu/mag'
+_REFUSED = {
+    layout.WAITING: 'no direction to start from',
+    layout.FAILED: 'numerics failed',
+    layout.HELD: 'wild jump',
+}
+_RESTARTS = {
+    layout.RESTARTED: 'attitude from one sample after a gap',
+    layout.REALIGNING: 'attitude contradicted gravity',
+}
 _SCRATCH = (layout.WORK, layout.N, layout.N)
 
 
@@ -130,16 +139,14 @@ class AttitudeFilter:
         tally = self.tally
         if code == layout.OK:
             tally.accept(_IMU, sample.stamp, float(state[layout.MOTION_NIS]))
-            return Attitude(sample.stamp, sample.frame, self._out.copy())
-        if code == layout.WAITING:
-            tally.reject(_IMU, 'no direction to start from')
-            return None
-        if code == layout.FAILED:
-            tally.reject(_IMU, 'numerics failed')
-            return None
-        tally.accept(_IMU, sample.stamp)
-        if code == layout.RESTARTED and not tally.muted:
-            tally.restart('attitude from one sample after a gap')
+        elif code in _REFUSED:
+            tally.reject(_IMU, _REFUSED[code])
+            if code != layout.HELD:
+                return None
+        else:
+            tally.accept(_IMU, sample.stamp)
+            if code in _RESTARTS and not tally.muted:
+                tally.restart(_RESTARTS[code])
         return Attitude(sample.stamp, sample.frame, self._out.copy())
 
     def gyro_bias(self, sample: ImuSample) -> GyroBias:

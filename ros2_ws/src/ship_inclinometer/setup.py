@@ -22,5 +22,20 @@ setup(
     maintainer_email='maintainers@estimator-workspace.invalid',
     description="A ship's electronic inclinometer: attitude at sea, roll analysis, alarms, NMEA and Modbus.",
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            f'{node} = {package_name}.nodes.{node}:main'
+            for node in (
+                'ship_simulator',
+                'attitude_estimator',
+                'roll_analysis',
+                'alarm_monitor',
+                'nmea_bridge',
+                'modbus_bridge',
+                'display',
+                'hmc5883l_driver',
+                'calibration',
+            )
+        ]
+    },
 )

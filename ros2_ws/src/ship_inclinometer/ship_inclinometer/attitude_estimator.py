@@ -92,7 +92,7 @@ class AttitudeEstimator:
         elif norm == 0.0:
             self.tally.reject(MAG, 'zero field')
         else:
-            self._buffer.feed(1, sample)
+            self._aid(1, MAG, sample)
 
     def on_gnss(self, sample: VelocitySample) -> None:
         """Use a GNSS velocity, valid `gnss_delay` before its stamp."""
@@ -101,14 +101,28 @@ class AttitudeEstimator:
         elif not all(math.isfinite(v) for v in sample.variance):
             self.tally.reject(GNSS, 'variance not finite')
         else:
-            self._buffer.feed(2, sample._replace(stamp=sample.stamp - self._delay))
+            self._aid(2, GNSS, sample._replace(stamp=sample.stamp - self._delay))
 
     def on_log(self, sample: SpeedSample) -> None:
         """Use a speed through water."""
         if abs(sample.speed) <= _LARGEST_SPEED:
-            self._buffer.feed(3, sample)
+            self._aid(3, LOG, sample)
         else:
             self.tally.reject(LOG, 'speed out of range')
+
+    def _aid(self, port: int, name: str, sample: Any) -> None:
+        """Feed an aiding sample unless it is far from the IMU's time.
+
+        Only the IMU may say that time has jumped: after a stall the queue of a slow topic holds older
+        samples than the IMU's, many in a row.
+        """
+        newest = self._buffer.newest
+        if newest is not None and sample.stamp < newest - self._window:
+            self.tally.reject(name, 'older than the lag window')
+        elif newest is not None and sample.stamp > newest + NANOSECONDS:
+            self.tally.reject(name, 'ahead of the IMU')
+        else:
+            self._buffer.feed(port, sample)
 
     def _imu_fault(self, sample: ImuSample) -> str:
         """Return why a sample is no measurement, or ''. NaN fails each comparison."""

@@ -227,6 +227,19 @@ def test_after_a_leap_was_taken_back_what_it_settled_stays_settled():
     assert rejected(tally, 'fast') == {AHEAD: 1, TOO_OLD: 1}
 
 
+def test_after_a_leap_was_taken_back_the_stamp_before_it_is_closed_and_the_next_is_open():
+    buffer, model, tally = make()
+    before = [*stream(20, slow_every=1000), (SLOW, Sample(START + 195 * MS, 0.5))]
+    feed_all(buffer, before)
+    base = buffer.newest
+    buffer.feed(FAST, Sample(base + SECOND, 5.0))
+    after = [(FAST, Sample(base, 0.1)), (FAST, Sample(base + 1, 0.2))]
+    after += [(FAST, Sample(base + i * 10 * MS, 0.3)) for i in range(1, 12)]
+    feed_all(buffer, after)
+    assert np.array_equal(model.state, reference(before + after[1:])[0])
+    assert rejected(tally, 'fast') == {AHEAD: 1, TOO_OLD: 1}
+
+
 @pytest.mark.parametrize(
     'jump', [-600 * MS, -SECOND, -3 * SECOND, -(10**6) * SECOND, 11 * SECOND, 10**6 * SECOND]
 )

@@ -9,7 +9,7 @@ In every README.md and every page under docs/ a block ::
 
 up to the next ``<!-- end -->`` is filled with a table: the parameters of a dataclass, the topics of a
 `node_core.ports.Ports` (by attribute of the module, or by key of its ESTIMATORS), the stored figures of a
-package. ``config/NODE.yaml`` is written for each estimator of each package.
+package. ``config/NODE.yaml`` is written for each node in `node_parameters`.
 ``./ws docs`` writes, ``./ws docs --check`` names the files that drift.
 """
 
@@ -133,6 +133,16 @@ def documents(root: Path) -> list[Path]:
     return sorted({*pages, *root.glob('docs/**/*.md')})
 
 
+def node_parameters(package: str) -> dict[str, type]:
+    """Return the parameter dataclass of each configured node of `package`, by name of the node.
+
+    These are the estimators of its codec and what its ``codec.NODE_PARAMETERS`` adds (simulators, drivers).
+    """
+    codec, _ = _attribute(f'{package}.codec')
+    estimators = {ports.name: ports.params for ports in getattr(codec, 'ESTIMATORS', {}).values()}
+    return {**estimators, **getattr(codec, 'NODE_PARAMETERS', {})}
+
+
 def _packages_with_codec(root: Path) -> list[str]:
     return sorted(path.parent.name for path in (root / 'ros2_ws' / 'src').glob('*/*/codec.py'))
 
@@ -149,10 +159,9 @@ def wanted(root: Path) -> Iterator[tuple[Path, str]]:
         except TableError as error:
             raise TableError(f'{path.relative_to(root)}: {error}') from None
     for package in _packages_with_codec(root):
-        module, _ = _attribute(f'{package}.codec')
-        for ports in getattr(module, 'ESTIMATORS', {}).values():
-            path = root / 'ros2_ws' / 'src' / package / 'config' / f'{ports.name}.yaml'
-            yield path, default_yaml(ports.params, ports.name)
+        for node, params in node_parameters(package).items():
+            path = root / 'ros2_ws' / 'src' / package / 'config' / f'{node}.yaml'
+            yield path, default_yaml(params, node)
 
 
 def drifted(root: Path) -> list[tuple[Path, str]]:

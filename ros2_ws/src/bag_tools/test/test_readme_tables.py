@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import importlib
 import json
 import sys
 import textwrap
@@ -167,6 +166,17 @@ def test_the_written_configuration_is_read_back_as_the_defaults(project):
     assert build(ToyParams, values) == ToyParams()
 
 
+def test_nodes_that_are_no_estimators_get_a_configuration_by_their_own_table(project):
+    codec = project / 'ros2_ws' / 'src' / 'toykit' / 'toykit' / 'codec.py'
+    codec.write_text(
+        f"from {__name__} import ESTIMATORS, ToyParams\nNODE_PARAMETERS = {{'driver': ToyParams}}\n"
+    )
+    readme_tables.main([])
+    config = codec.parents[1] / 'config'
+    assert sorted(path.name for path in config.iterdir()) == ['driver.yaml', 'toy.yaml']
+    assert list(yaml.safe_load((config / 'driver.yaml').read_text())) == ['driver']
+
+
 def test_an_error_names_the_document(project, capsys):
     (project / 'README.md').write_text('<!-- params:gone:X -->\n<!-- end -->\n')
     assert readme_tables.main([]) == 2
@@ -193,9 +203,8 @@ def test_the_documents_of_this_workspace_are_current():
 
 
 @pytest.mark.skipif(source_tree() is None, reason='not run from the source tree: there are no packages')
-def test_the_defaults_of_every_estimator_lie_within_their_own_bounds():
+def test_the_defaults_of_every_node_lie_within_their_own_bounds():
     for path in sorted((source_tree() / 'ros2_ws' / 'src').glob('*/*/codec.py')):
-        codec = importlib.import_module(f'{path.parent.name}.codec')
-        for ports in getattr(codec, 'ESTIMATORS', {}).values():
-            defaults = {field.name: field.default for field in fields(ports.params)}
-            assert build(ports.params, defaults) == ports.params(), ports.name
+        for node, params in readme_tables.node_parameters(path.parent.name).items():
+            defaults = {field.name: field.default for field in fields(params)}
+            assert build(params, defaults) == params(), node

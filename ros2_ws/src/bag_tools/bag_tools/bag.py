@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +26,8 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+from bag_tools.cdr import decoder, encoder
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
@@ -70,7 +72,7 @@ def reliable_qos(*, depth: int = 100, latched: bool = False) -> Qos:
 
 
 _ZEROS: dict[str, Any] = {'string': '', 'wstring': '', 'bool': False, 'float32': 0.0, 'float64': 0.0}
-_DTYPES = {'byte': 'uint8', 'char': 'uint8', 'bool': 'bool'}
+_DTYPES = {'char': 'uint8'}
 # rosbags drops the defaults of message definitions; these are the ones other than zero.
 _DEFAULTS = {('geometry_msgs/msg/Quaternion', 'w'): 1.0, ('sensor_msgs/msg/NavSatStatus', 'status'): -2}
 
@@ -189,6 +191,8 @@ class BagReader:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._decoders: dict[str, Callable[[bytes], Any]] = {}
+        self._encoders: dict[str, Callable[[Any], bytes]] = {}
         located = _locate(self.path)
         _check_complete(located)
         try:
@@ -248,12 +252,22 @@ class BagReader:
         except Exception as error:
             raise BagError(f'{self.path}: damaged message data ({_reason(error)})') from error
 
-    def decode(self, data: bytes | memoryview, type_name: str) -> Any:
+    def decode(self, data: bytes, type_name: str) -> Any:
         """Return the message object; raise BagError when the bytes are not one."""
+        decode = self._decoders.get(type_name)
+        if decode is None:
+            decode = self._decoders[type_name] = decoder(self.store, type_name)
         try:
-            return self.store.deserialize_cdr(data, type_name)
+            return decode(data)
         except Exception as error:
             raise BagError(f'{self.path}: a {type_name} cannot be decoded ({_reason(error)})') from error
+
+    def encode(self, message: Any, type_name: str) -> bytes:
+        """Return the CDR bytes of a message object, padding zeroed."""
+        encode = self._encoders.get(type_name)
+        if encode is None:
+            encode = self._encoders[type_name] = encoder(self.store, type_name)
+        return encode(message)
 
     def close(self) -> None:
         """Close the bag."""
@@ -320,7 +334,8 @@ class BagWriter:
             self._writer.set_compression(mode, CompressionFormat.ZSTD)
         self._writer.open()
         self._connections: dict[str, Any] = {}
-        self._types: dict[str, tuple[str, Typestore]] = {}
+        self._types: dict[str, str] = {}
+        self._encoders: dict[str, Callable[[Any], bytes]] = {}
         self.counts: dict[str, int] = {}
 
     def add(
@@ -335,9 +350,9 @@ class BagWriter:
         """Declare `topic` (made fully qualified); a second declaration with the same type does nothing."""
         topic = resolve(topic)
         if topic in self._types:
-            if self._types[topic][0] != type_name:
+            if self._types[topic] != type_name:
                 raise BagError(
-                    f"{self.path}: topic '{topic}' has two types, {self._types[topic][0]} and {type_name}"
+                    f"{self.path}: topic '{topic}' has two types, {self._types[topic]} and {type_name}"
                 )
             return
         store = store or jazzy()
@@ -347,13 +362,13 @@ class BagWriter:
         self._connections[topic] = self._writer.add_connection(
             topic, type_name, typestore=store, offered_qos_profiles=profiles
         )
-        self._types[topic] = (type_name, store)
+        self._types[topic] = type_name
+        self._encoders[topic] = encoder(store, type_name)
         self.counts[topic] = 0
 
     def write(self, topic: str, stamp: int, message: Any) -> None:
         """Serialise and write `message` at bag time `stamp` (ns, not negative)."""
-        type_name, store = self._types[topic]
-        self.write_raw(topic, stamp, store.serialize_cdr(message, type_name))
+        self.write_raw(topic, stamp, self._encoders[topic](message))
 
     def write_raw(self, topic: str, stamp: int, data: bytes | memoryview) -> None:
         """Write CDR bytes at bag time `stamp` (ns, not negative)."""

@@ -24,7 +24,7 @@ VOLATILE_TOPICS = frozenset({'/diagnostics', '/clock', '/rosout', '/parameter_ev
 
 def canonical(reader: BagReader, data: bytes, type_name: str) -> bytes:
     """Return the bytes that stand for the decoded fields of one message."""
-    return bytes(reader.store.serialize_cdr(reader.decode(data, type_name), type_name))
+    return reader.encode(reader.decode(data, type_name), type_name)
 
 
 def topic_hashes(reader: BagReader, topics: Collection[str] | None = None) -> dict[str, str]:

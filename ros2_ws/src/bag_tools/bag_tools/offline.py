@@ -17,6 +17,7 @@ from typing import Any
 
 from bag_tools import rosargs
 from bag_tools.bag import BagError, BagReader, BagWriter, zeroed
+from bag_tools.cdr import decoder
 from bag_tools.cli import Progress, guarded
 from bag_tools.registry import find_ports
 from kalman_core.health import Tally
@@ -106,7 +107,8 @@ def _run(
 ) -> tuple[dict[str, int], dict[str, SensorHealth]]:
     counts = dict.fromkeys(inputs, 0)
     health: dict[str, SensorHealth] = {}
-    decode, feed, put = reader.store.deserialize_cdr, driver.feed, sink.write
+    feed, put = driver.feed, sink.write
+    decoders = {topic: decoder(reader.store, port.type) for topic, port in inputs.items()}
     next_health = reader.start + _HEALTH_PERIOD
     for number, (topic, stamp, data) in enumerate(reader.messages({*inputs, *copies})):
         if topic in copies:
@@ -115,7 +117,7 @@ def _run(
         if port is not None:
             counts[topic] += 1
             try:
-                message = decode(data, port.type)
+                message = decoders[topic](data)
             except Exception as error:
                 raise BagError(f"{reader.path}: message {counts[topic]} of '{topic}' is damaged") from error
             pairs = feed(port, message)

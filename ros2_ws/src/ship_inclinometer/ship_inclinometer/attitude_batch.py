@@ -41,15 +41,15 @@ def run_recording(recording: Recording, params: AttitudeParams, use_log: bool = 
     run(
         state,
         settings(params),
-        recording.truth.t,
+        _stamped(recording.truth.t),
         recording.gyro,
         recording.accelerometer,
-        recording.magnetometer_t,
+        _stamped(recording.magnetometer_t),
         recording.magnetometer,
-        recording.gnss_t - params.gnss_delay,
+        _stamped(recording.gnss_t - params.gnss_delay),
         recording.gnss_velocity,
         np.full(3, params.gnss_sigma**2),
-        recording.log_t if use_log else _NONE,
+        _stamped(recording.log_t) if use_log else _NONE,
         recording.log_speed if use_log else _NONE,
         np.array([GATE_1, GATE_3, GATE_1]),
         rows,
@@ -57,6 +57,11 @@ def run_recording(recording: Recording, params: AttitudeParams, use_log: bool = 
     )
     names = ('position', 'magnetometer', 'gnss')
     return Run(rows, {n: total / count for n, (total, count) in zip(names, nis) if count})
+
+
+def _stamped(t: np.ndarray) -> np.ndarray:
+    """Return times [s] as whole nanoseconds make them: streaming and batch then agree to the last bit."""
+    return np.round(t * 1e9) / 1e9
 
 
 def attitude_errors(recording: Recording, rows: np.ndarray) -> AttitudeErrors:

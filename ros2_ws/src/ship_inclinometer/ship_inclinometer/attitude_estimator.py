@@ -80,37 +80,43 @@ class AttitudeEstimator:
         out: list[Any] = []
         if prompt is not None:
             self._report(prompt, out)
-        if self.params.settled_output:
-            out.extend(SettledAttitude(*e) for e in settled if e.validity != INVALID)
+        out.extend(self._settled(settled))
         return out
 
-    def on_mag(self, sample: MagSample) -> None:
+    def _settled(self, attitudes: list[Attitude]) -> list[Any]:
+        if not self.params.settled_output:
+            return []
+        return [SettledAttitude(*a) for a in attitudes if a.validity != INVALID]
+
+    def on_mag(self, sample: MagSample) -> list[Any]:
         """Use a magnetic field."""
         norm = math.sqrt(sum(v * v for v in sample.field))
         if not norm <= _LARGEST_FIELD:
             self.tally.reject(MAG, 'field out of range')
-        elif norm == 0.0:
+            return []
+        if norm == 0.0:
             self.tally.reject(MAG, 'zero field')
-        else:
-            self._aid(1, MAG, sample)
+            return []
+        return self._aid(1, MAG, sample)
 
-    def on_gnss(self, sample: VelocitySample) -> None:
+    def on_gnss(self, sample: VelocitySample) -> list[Any]:
         """Use a GNSS velocity, valid `gnss_delay` before its stamp."""
         if not all(abs(v) <= _LARGEST_SPEED for v in sample.velocity):
             self.tally.reject(GNSS, 'velocity out of range')
-        elif not all(math.isfinite(v) for v in sample.variance):
+            return []
+        if not all(math.isfinite(v) for v in sample.variance):
             self.tally.reject(GNSS, 'variance not finite')
-        else:
-            self._aid(2, GNSS, sample._replace(stamp=sample.stamp - self._delay))
+            return []
+        return self._aid(2, GNSS, sample._replace(stamp=sample.stamp - self._delay))
 
-    def on_log(self, sample: SpeedSample) -> None:
+    def on_log(self, sample: SpeedSample) -> list[Any]:
         """Use a speed through water."""
-        if abs(sample.speed) <= _LARGEST_SPEED:
-            self._aid(3, LOG, sample)
-        else:
+        if not abs(sample.speed) <= _LARGEST_SPEED:
             self.tally.reject(LOG, 'speed out of range')
+            return []
+        return self._aid(3, LOG, sample)
 
-    def _aid(self, port: int, name: str, sample: Any) -> None:
+    def _aid(self, port: int, name: str, sample: Any) -> list[Any]:
         """Feed an aiding sample unless it is far from the IMU's time.
 
         Only the IMU may say that time has jumped: after a stall the queue of a slow topic holds older
@@ -122,7 +128,8 @@ class AttitudeEstimator:
         elif newest is not None and sample.stamp > newest + NANOSECONDS:
             self.tally.reject(name, 'ahead of the IMU')
         else:
-            self._buffer.feed(port, sample)
+            return self._settled(self._buffer.feed(port, sample)[1])
+        return []
 
     def _imu_fault(self, sample: ImuSample) -> str:
         """Return why a sample is no measurement, or ''. NaN fails each comparison."""

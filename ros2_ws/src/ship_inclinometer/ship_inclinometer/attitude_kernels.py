@@ -210,6 +210,9 @@ def _start_running(state, cov, c):
     state[S_DRIVE + 1] = 1.0
     arm = matrix_from_quat(state[S_Q : S_Q + 4]) @ c[C_LEVER : C_LEVER + 3]
     state[S_P : S_P + 3] = arm
+    # While aligning the rate was that of an unknown bias, not of a turn.
+    state[S_TURN] = state[S_SLOW_TURN] = 0.0
+    state[S_TURN_END] = -1e9
     state[S_PHASE] = PHASE_RUN
 
 
@@ -331,24 +334,33 @@ def run(state, c, imu_t, gyro, force, mag_t, mag, gnss_t, gnss, gnss_variance, l
     pair = np.zeros(2)
     for i in range(len(imu_t)):
         t = imu_t[i]
-        while m < len(mag_t) and mag_t[m] < t:
-            if state[S_PHASE] != PHASE_EMPTY:
-                code, value = mag_step(state, c, mag_t[m], mag[m], gates[0])
-                if code == OK and state[S_PHASE] == PHASE_RUN:
-                    nis[1, 0] += value
-                    nis[1, 1] += 1.0
-            m += 1
-        while k < len(gnss_t) and gnss_t[k] < t:
-            if state[S_PHASE] != PHASE_EMPTY:
-                code, value = gnss_step(state, c, gnss_t[k], gnss[k], gnss_variance, gates[1])
-                if code == OK and state[S_PHASE] == PHASE_RUN:
-                    nis[2, 0] += value
-                    nis[2, 1] += 3.0
-            k += 1
-        while n < len(log_t) and log_t[n] < t:
-            if state[S_PHASE] != PHASE_EMPTY:
-                log_step(state, c, log_t[n], log[n], gates[2])
-            n += 1
+        while True:
+            next_mag = mag_t[m] if m < len(mag_t) else np.inf
+            next_gnss = gnss_t[k] if k < len(gnss_t) else np.inf
+            next_log = log_t[n] if n < len(log_t) else np.inf
+            first = min(next_mag, next_gnss, next_log)
+            if first >= t:
+                break
+            started = state[S_PHASE] != PHASE_EMPTY
+            running = state[S_PHASE] == PHASE_RUN
+            if first == next_mag:
+                if started:
+                    code, value = mag_step(state, c, first, mag[m], gates[0])
+                    if code == OK and running:
+                        nis[1, 0] += value
+                        nis[1, 1] += 1.0
+                m += 1
+            elif first == next_gnss:
+                if started:
+                    code, value = gnss_step(state, c, first, gnss[k], gnss_variance, gates[1])
+                    if code == OK and running:
+                        nis[2, 0] += value
+                        nis[2, 1] += 3.0
+                k += 1
+            else:
+                if started:
+                    log_step(state, c, first, log[n], gates[2])
+                n += 1
         if state[S_PHASE] == PHASE_EMPTY:
             begin(state, c, t, force[i])
         else:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs a simulated recording through the batch kernel or the streaming class, and scores it."""
 
-
 from ship_inclinometer.attitude_batch import attitude_errors, run_recording
 from ship_inclinometer.samples import ImuSample, MagSample, SpeedSample, VelocitySample
 

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node around the alarm monitor: what it raises or ends is in the event log before it is published."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from std_srvs.srv import Trigger
+
+from kalman_core.parameters import ParameterError
+from node_core.messages import stamp_of
+from node_core.node import WorkspaceNode
+from node_core.ports import BadMessage
+from ship_inclinometer import topics
+from ship_inclinometer.alarms import AlarmEvent, AlarmMonitor
+from ship_inclinometer.bridge_params import AlarmParams
+from ship_inclinometer.codec import (
+    VALUES,
+    VECTOR,
+    decode_angles,
+    decode_numbers,
+    decode_validity,
+    encode_numbers,
+)
+from ship_inclinometer.event_log import EventLog, LogError
+from ship_inclinometer.marine import Picture
+from ship_inclinometer.samples import INVALID
+
+# Judged at the rate of the standard's output.
+_PERIOD = 0.1  # s
+# The attitude takes up to a minute to align: its absence is no alarm before.
+_START_UP = 60.0  # s
+
+
+class AlarmNode(WorkspaceNode):
+    """Publishes ship/alarms; takes ship/command and ship/settings."""
+
+    def __init__(self) -> None:
+        super().__init__('alarm_monitor', AlarmParams)
+        params: AlarmParams = self.parameters[AlarmParams]
+        try:
+            self._log = EventLog(Path(params.event_log).expanduser())
+        except LogError as error:
+            raise ParameterError(str(error)) from error
+        self._monitor = AlarmMonitor(self._thresholds(), params.latching)
+        self.parameters.on_change(self._parameters_changed)
+        self._picture = Picture()
+        self._began = self.get_clock().now().nanoseconds
+        self._publisher, self._message = self.publish_to(VALUES, topics.ALARMS, latched=True)
+        self.listen(VECTOR, topics.ANGLES, self._on_angles)
+        self.listen(VALUES, topics.VALIDITY, self._on_validity, latched=True)
+        self.listen(VALUES, topics.ROLL, self._on_roll)
+        self.listen(VALUES, topics.SETTINGS, self._on_settings, latched=True)
+        self.listen('std_msgs/msg/String', topics.COMMAND, self._on_command)
+        self.create_service(Trigger, '~/acknowledge', self._on_acknowledge)
+        self.create_service(Trigger, '~/silence', self._on_silence)
+        self.create_timer(_PERIOD, self._judge)
+        self._append(self._began, 'start', 'alarm_monitor', 'started')
+
+    def _thresholds(self) -> dict[str, float]:
+        values = asdict(self.parameters[AlarmParams])
+        return {name: value for name, value in values.items() if isinstance(value, float)}
+
+    def destroy_node(self) -> None:
+        """Log the stop."""
+        self._append(self.get_clock().now().nanoseconds, 'stop', 'alarm_monitor', 'stopped')
+        self._log.close()
+        super().destroy_node()
+
+    def _append(self, stamp: int, kind: str, who: str, text: str) -> None:
+        try:
+            self._log.append(stamp, kind, who, text)
+        except LogError as error:
+            # An alarm that cannot be logged must still sound.
+            self.get_logger().error(str(error), throttle_duration_sec=5.0)
+
+    def _parameters_changed(self) -> None:
+        stamp = self.get_clock().now().nanoseconds
+        self._change(stamp, self._thresholds(), 'parameter')
+        self._monitor.latching = self.parameters[AlarmParams].latching
+
+    def _change(self, stamp: int, settings: dict[str, float], who: str) -> None:
+        known = self._monitor.settings
+        changes = {n: v for n, v in settings.items() if n in known and known[n] != v}
+        if changes:
+            text = ', '.join(f'{n} {known[n]:g} -> {v:g}' for n, v in changes.items())
+            self._append(stamp, 'setting', who, text)
+            known.update(changes)
+
+    def _on_angles(self, message: Any) -> None:
+        self._guarded(topics.ANGLES, lambda: self._picture.take_angles(decode_angles(message)))
+
+    def _on_validity(self, message: Any) -> None:
+        def take() -> None:
+            validity = decode_validity(message)
+            self._picture.validity, self._picture.reason = validity.validity, validity.reason
+
+        self._guarded(topics.VALIDITY, take)
+
+    def _on_roll(self, message: Any) -> None:
+        take = self._picture.take_roll
+        self._guarded(topics.ROLL, lambda: take(stamp_of(message), decode_numbers(message)))
+
+    def _on_settings(self, message: Any) -> None:
+        take = self._change
+        self._guarded(topics.SETTINGS, lambda: take(stamp_of(message), decode_numbers(message), 'modbus'))
+
+    def _guarded(self, topic: str, take: Any) -> None:
+        try:
+            take()
+        except BadMessage as error:
+            self.get_logger().warning(f'{topic}: {error}', throttle_duration_sec=5.0)
+
+    def _on_command(self, message: Any) -> None:
+        name, _, who = message.data.partition(' ')
+        stamp = self.get_clock().now().nanoseconds
+        if name == 'acknowledge':
+            alarm, _, rest = who.partition(' ')
+            known = alarm in self._monitor.states
+            self._tell(self._monitor.acknowledge(stamp, alarm if known else ''), rest if known else who)
+        elif name == 'silence':
+            self._monitor.silence(stamp)
+            self._append(stamp, 'silence', who, 'silenced')
+        elif name == 'log_mark':
+            self._append(stamp, 'mark', who, 'mark')
+
+    def _on_acknowledge(self, _request: Any, response: Any) -> Any:
+        events = self._monitor.acknowledge(self.get_clock().now().nanoseconds)
+        self._tell(events, 'service')
+        response.success = True
+        response.message = f'{len(events)} acknowledged'
+        return response
+
+    def _on_silence(self, _request: Any, response: Any) -> Any:
+        stamp = self.get_clock().now().nanoseconds
+        self._monitor.silence(stamp)
+        self._append(stamp, 'silence', 'service', 'silenced')
+        response.success = True
+        response.message = 'silenced'
+        return response
+
+    def _tell(self, events: list[AlarmEvent], who: str) -> None:
+        for event in events:
+            self._append(event.stamp, event.kind, who, f'{event.name}: {event.text}')
+
+    def _judge(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        picture = self._picture
+        validity, _ = picture.shown_validity(now)
+        known = validity != INVALID
+        amplitudes = (picture.number('amplitude_port'), picture.number('amplitude_starboard'))
+        started = known or now - self._began > _START_UP * 1e9
+        warned = picture.number('synchronous_warning') + picture.number('parametric_warning')
+        quantities = {
+            'heel': picture.roll if known else math.nan,
+            'pitch': picture.pitch if known else math.nan,
+            'amplitude': max((a for a in amplitudes if a == a), default=math.nan) if known else math.nan,
+            'resonance': warned if known else math.nan,
+            'sensor_fault': float(not known) if started else math.nan,
+        }
+        self._tell(self._monitor.update(now, quantities), 'alarm_monitor')
+        encode_numbers(self._message, now, self._monitor.numbers(now))
+        self._publisher.publish(self._message)

@@ -51,9 +51,7 @@ def _table(path: Path, columns: int) -> np.ndarray:
     except ValueError as error:
         raise RecordingError(f'{path}: {error}') from None
     if table.shape[1] != columns or len(table) < 2:
-        raise RecordingError(
-            f'{path}: {table.shape[1]} columns and {len(table)} rows, expected {columns} columns'
-        )
+        raise RecordingError(f'{path}: table of {table.shape}, expected rows of {columns}')
     return table
 
 

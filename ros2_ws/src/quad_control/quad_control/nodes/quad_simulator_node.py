@@ -41,10 +41,10 @@ class QuadSimulatorNode(WorkspaceNode):
         self._late = 0.0
         self._round_trips = Timings()
         self._sent: dict[int, int] = {}
-        self._sense()  # compiles the kernels before anything listens
+        self._craft.sense()  # loads the kernels before anything listens
         self._started = time.monotonic()
         self.listen(codec.JOINTS, 'motors/command', self._on_command)
-        period = _LOST if p.pace == 'lockstep' else 1.0 / p.rate
+        period = _LOST / 10.0 if p.pace == 'lockstep' else 1.0 / p.rate
         self.create_timer(period, self._on_timer, clock=self.steady_clock)
         self.get_logger().info(
             f'{p.pace} at {p.rate:g} Hz, {"pinned" if p.pinned else "free"}, seed {p.seed}'
@@ -84,8 +84,12 @@ class QuadSimulatorNode(WorkspaceNode):
 
     def _on_timer(self) -> None:
         if self._params.pace == 'lockstep':
-            # Nothing has come since the last sample: start, or a lost message.
-            if self._sent and time.monotonic_ns() - max(self._sent.values()) > _LOST * 1e9:
+            if not self._samples:
+                # The first sample must not be lost: wait until both ends of the loop are there.
+                topic = self.resolve_topic_name('motors/command')
+                if self._imu[0].get_subscription_count() and self.count_publishers(topic):
+                    self._sense()
+            elif self._sent and time.monotonic_ns() - max(self._sent.values()) > _LOST * 1e9:
                 self._advance()
             return
         due = (time.monotonic() - self._started) * self._params.rate - self._samples
@@ -104,7 +108,8 @@ class QuadSimulatorNode(WorkspaceNode):
             # Unanswered for a second: nobody flies the craft, or commands were lost.
             self._lost += len(self._sent)
             self._sent.clear()
-        self._craft.advance(self._pulses)
+        if self._samples:
+            self._craft.advance(self._pulses)
         self._sense()
 
     def diagnose(self) -> DiagnosticArray:

@@ -57,7 +57,14 @@ from imu_kalman.attitude_layout import (
     N,
     Q,
 )
-from imu_kalman.attitude_linear import propagate, scalar_update, start_covariance, turn, whole_turn
+from imu_kalman.attitude_linear import (
+    propagate,
+    scalar_update,
+    start_covariance,
+    turn,
+    turned_since,
+    whole_turn,
+)
 
 # Measured levels of motion and of magnetic disturbance rise this much faster than they decay: both start
 # suddenly.
@@ -155,7 +162,8 @@ def motion_update(state, par, work, cov):
             h[k] = phi[6 + i, k] / span
         h[6 + i] = c_vel
         h[8 + i] = c_pos
-        mean = state[FORCE_N + i] / span
+        # The force was summed before the updates of this block turned the attitude.
+        mean = state[FORCE_N + i] / span + turned_since(work, h)
         innovation = -(mean + c_vel * state[VEL + i] + c_pos * state[POS + i])
         total = scalar_update(state, cov, work, h, innovation, variance, False)
         nis += innovation * innovation / total

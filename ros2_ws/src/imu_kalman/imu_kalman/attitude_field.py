@@ -36,7 +36,7 @@ from imu_kalman.attitude_layout import (
     VECTORS,
     N,
 )
-from imu_kalman.attitude_linear import scalar_update
+from imu_kalman.attitude_linear import scalar_update, turned_since
 
 # Spans up to this age (s) of the field reference are averaged equally: a start needs a value at once.
 _REF_START = 2.0
@@ -90,14 +90,13 @@ def magnetic_update(state, par, work, cov):
     share = max(horizontal / norm, _MIN_HORIZONTAL)
     # A disturbance e of any direction turns the horizontal field by e / cos(dip).
     variance = (par[MAG_PSD] + par[MAG_SPAN] * disturbance / (share * share)) / span
-    innovation = math.atan2(mx, my)
     h = work[VECTORS, ROW]
     h[:] = 0.0
-    if horizontal > _MIN_HORIZONTAL * norm:
-        slope = mz / (horizontal * horizontal)
-        h[0] = -mx * slope
-        h[1] = -my * slope
+    # Taken where the field is expected (north), not where it was found: a row that follows the measured
+    # direction correlates with the innovation and would turn its noise into a lasting tilt.
+    h[1] = -mz / max(horizontal, _MIN_HORIZONTAL * norm)
     h[2] = 1.0
+    innovation = math.atan2(mx, my) - turned_since(work, h)
     total = scalar_update(state, cov, work, h, innovation, variance, True)
     nis = innovation * innovation / total
     state[MAG_NIS] = nis

@@ -92,6 +92,13 @@ def inject(state, work, scale):
 
 
 @njit(cache=True, nogil=True)
+def turned_since(work, h):
+    """Return what the attitude corrections of this block change in a measurement of row `h`."""
+    correction = work[VECTORS, CORRECTION]
+    return h[0] * correction[0] + h[1] * correction[1] + h[2] * correction[2]
+
+
+@njit(cache=True, nogil=True)
 def transition(state, phi):
     """Fill the (N, N) transition matrix of the block; its structure is described in `propagate`."""
     span = state[SPAN]

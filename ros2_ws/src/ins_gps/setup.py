@@ -20,7 +20,7 @@ setup(
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',
-    description="Tightly coupled INS/GPS with carrier-phase differences and DGPS.",
+    description='Tightly coupled INS/GPS with carrier-phase differences and DGPS.',
     license='Apache-2.0',
     entry_points={
         'console_scripts': [

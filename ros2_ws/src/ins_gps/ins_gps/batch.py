@@ -78,7 +78,7 @@ def run_batch(
             navigation.corrections(corrections[given])
             given += 1
         navigation.gnss(epoch)
-        if navigation.running:
+        if navigation.running or navigation.coasting:
             state = navigation.state
             navigation.flush()
             records.append(

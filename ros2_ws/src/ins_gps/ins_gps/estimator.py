@@ -95,9 +95,9 @@ class InsGpsEstimator:
             self.tally.reject('gnss', 'wrong layout')
             return None
         out = self._feed(2, sample)
-        if out and self.navigation.running:
+        if out:
             out.append(self.navigation.biases(sample.stamp))
-            if self.navigation.params.mode == 'gps':
+            if self.navigation.params.mode == 'gps' or self.navigation.coasting:
                 out.append(self.navigation.estimate(sample.stamp))
         return out
 
@@ -113,7 +113,8 @@ class InsGpsEstimator:
         """Return mode, integrity and one entry per satellite: elevation weight, residuals in σ, fate."""
         navigation = self.navigation
         values: dict[str, Any] = {'mode': navigation.params.mode, 'running': navigation.running}
-        if not navigation.running:
+        values['waiting for an attitude'] = navigation.coasting
+        if not (navigation.running or navigation.coasting):
             return values
         sigma = np.sqrt(np.maximum(np.diag(navigation.covariance)[:3], 0.0))
         values['horizontal protection level (m)'] = protection_level(float(np.hypot(sigma[0], sigma[1])))

@@ -35,7 +35,14 @@ from ins_gps.samples import (
     PositionSample,
     VelocitySample,
 )
-from ins_gps.start import PRIOR_VELOCITY, PRIOR_VELOCITY_MEASURED, start_attitude, start_velocity
+from ins_gps.start import (
+    PRIOR_VELOCITY,
+    PRIOR_VELOCITY_MEASURED,
+    coasting_config,
+    hold_still,
+    start_attitude,
+    start_velocity,
+)
 from kalman_core.earth import ecef_from_geodetic, enu_from_ecef, mat_ecef_from_ned
 from kalman_core.gates import chi2_gate
 from kalman_core.health import Tally
@@ -114,6 +121,7 @@ class NavigationFilter:
         self.tally = tally if tally is not None else Tally()
         self.channels = params.channels
         self.config = config_array(params)
+        self._coasting_config = coasting_config(self.config)
         self.state = np.zeros(at.state_size(self.channels))
         self.report = np.zeros((0, ch.REPORT_WIDTH))
         self.summary = np.zeros(ch.SUMMARY)
@@ -131,7 +139,12 @@ class NavigationFilter:
     @property
     def running(self) -> bool:
         """Whether there is a solution."""
-        return self.state[at.STAGE] > 0.0
+        return self.state[at.STAGE] == at.RUNNING
+
+    @property
+    def coasting(self) -> bool:
+        """Whether position and velocity follow GNSS alone until an attitude is known."""
+        return self.state[at.STAGE] == at.COASTING
 
     @property
     def nav(self) -> np.ndarray:
@@ -176,7 +189,7 @@ class NavigationFilter:
         if s[at.HAVE_ORIGIN] == 0.0:
             s[at.ORIGIN : at.ORIGIN + 3] = nav[:3]
             s[at.HAVE_ORIGIN] = 1.0
-        s[at.STAGE] = 1.0
+        s[at.STAGE] = at.RUNNING
 
     def imu(self, sample: ImuSample) -> NavigationEstimate | None:
         """Advance to the sample's stamp; None before there is a solution."""
@@ -195,7 +208,7 @@ class NavigationFilter:
             return None
         if sample.stamp - _stamp(s[at.SEC], s[at.NSEC]) > _MAX_STEP * NANOSECONDS:
             self.tally.restart('no IMU for more than 10 s')
-            s[at.STAGE] = 0.0
+            s[at.STAGE] = at.WAITING
             return None
         imu_step(s, self.channels, self.config, sample.rate, sample.force, sec, nsec)
         self._constrain(sample.stamp)
@@ -252,24 +265,53 @@ class NavigationFilter:
             return None
         if self.params.mode == 'gps':
             return self._gps_only(sample.stamp, rows, since)
-        if not self.running:
+        if s[at.STAGE] == at.WAITING:
             self._start(sample.stamp, rows, since)
-            if not self.running or self.params.mode == 'ins':
+            if s[at.STAGE] == at.WAITING:
                 return None
-        if self.params.mode == 'ins':
+        if self.coasting:
+            hold_still(s)
+        mode = self.params.mode
+        if mode == 'ins' and not self.coasting:
             hold_to(s, self.channels, self.config, sec, nsec)
             return None
-        if self.params.mode == 'loose':
+        if mode in ('ins', 'loose'):
             self._loose(sample.stamp, rows, since)
         else:
             self._tight(sample.stamp, rows)
-        return self._fix_estimate(sample.stamp) if self.running else None
+        self._align()
+        return self._fix_estimate(sample.stamp)
+
+    @property
+    def _prediction(self) -> np.ndarray:
+        return self._coasting_config if self.coasting else self.config
+
+    def _align(self) -> None:
+        """End coasting once the attitude can be known."""
+        if not self.coasting:
+            return
+        P, p = self.covariance, self.params
+        sigma = math.sqrt(max(P[at.VEL, at.VEL] + P[at.VEL + 1, at.VEL + 1], 0.0))
+        attitude = start_attitude(self.state, p, self.nav[3:6], sigma)
+        if attitude is None:
+            return
+        self.nav[6:10] = attitude[0]
+        for start, sigmas in (
+            (at.ATT, attitude[1]),
+            (at.ACC, np.full(3, p.accel_bias_sigma * self.config[ch.CLONES])),
+            (at.GYR, np.full(3, p.gyro_bias_sigma * self.config[ch.CLONES])),
+        ):
+            P[start : start + 3, :] = 0.0
+            P[:, start : start + 3] = 0.0
+            P[start : start + 3, start : start + 3] = np.diag(sigmas**2)
+        self.state[at.HAVE_IMU] = 0.0
+        self.state[at.STAGE] = at.RUNNING
 
     def _tight(self, stamp: int, rows: np.ndarray) -> None:
         report = np.zeros((len(rows), ch.REPORT_WIDTH))
         summary = self.summary
         sec, nsec = divmod(stamp, NANOSECONDS)
-        gnss_epoch(self.state, self.channels, self.config, rows, sec, nsec, report, summary)
+        gnss_epoch(self.state, self.channels, self._prediction, rows, sec, nsec, report, summary)
         self.rows, self.report = rows, report
         if self.tally.muted:
             return
@@ -314,7 +356,7 @@ class NavigationFilter:
     def _loose(self, stamp: int, rows: np.ndarray, since: float) -> None:
         s = self.state
         sec, nsec = divmod(stamp, NANOSECONDS)
-        hold_to(s, self.channels, self.config, sec, nsec)
+        hold_to(s, self.channels, self._prediction, sec, nsec)
         start = ecef_from_geodetic(*self.nav[:3])
         fix = epoch_fix(s, self.channels, self.config, self.params, rows, since, start)
         s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
@@ -366,26 +408,31 @@ class NavigationFilter:
         """Use a fix from elsewhere (loose coupling); it also starts the filter."""
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         s = self.state
-        if not self.running:
+        if s[at.STAGE] == at.WAITING:
             self._start_from(sample.stamp, sample.geodetic, sample.covariance, None)
-            return self._fix_estimate(sample.stamp) if self.running else None
-        hold_to(s, self.channels, self.config, sec, nsec)
-        since = (sec - s[at.EPOCH_SEC]) + (nsec - s[at.EPOCH_NSEC]) * 1e-9 if s[at.HAVE_EPOCH] else 0.0
-        s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
+            return self._fix_estimate(sample.stamp)
+        if self.coasting:
+            hold_still(s)
+        hold_to(s, self.channels, self._prediction, sec, nsec)
+        since = sec - s[at.FIX_SEC] if s[at.FIX_SEC] else 0.0
+        s[at.FIX_SEC] = sec
         if not self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'fix'):
             s[at.LOST] += since
+        self._align()
         return self._fix_estimate(sample.stamp)
 
     def velocity(self, sample: VelocitySample) -> None:
-        """Use a velocity from elsewhere; before the start it is kept for the alignment."""
+        """Use a velocity from elsewhere."""
         s = self.state
-        sec, nsec = divmod(sample.stamp, NANOSECONDS)
-        if not self.running:
-            s[at.START_VELOCITY : at.START_VELOCITY + 3] = sample.velocity
-            s[at.START_SEC] = sec
+        if s[at.STAGE] == at.WAITING:
+            self.tally.reject('velocity', 'no position to start from yet')
             return
-        hold_to(s, self.channels, self.config, sec, nsec)
+        sec, nsec = divmod(sample.stamp, NANOSECONDS)
+        if self.coasting:
+            hold_still(s)
+        hold_to(s, self.channels, self._prediction, sec, nsec)
         self._use_velocity(sample.stamp, sample.velocity, sample.covariance, 'velocity')
+        self._align()
 
     def _gps_only(self, stamp: int, rows: np.ndarray, since: float) -> FixEstimate | None:
         s = self.state
@@ -397,7 +444,7 @@ class NavigationFilter:
             remember_carrier(s, self.channels, self.config, rows)
             self.tally.reject('gnss/fix', 'no consistent fix')
             return None
-        sigmas = np.full(9, math.pi)
+        sigmas = np.full(9, math.pi)  # the attitude is not known
         velocity = np.zeros(3)
         mat = mat_ecef_from_ned(fix.geodetic[0], fix.geodetic[1])
         velocity_covariance = np.eye(3) * PRIOR_VELOCITY**2
@@ -424,23 +471,23 @@ class NavigationFilter:
                 spread = ned_covariance(fix.position, fix.geodetic)
             self._start_from(stamp, fix.geodetic, spread, fix)
         s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
-        if not self.running:
-            s[at.SEC], s[at.NSEC] = sec, nsec
-            remember_carrier(s, self.channels, self.config, rows)
 
     def _start_from(self, stamp: int, geodetic, covariance, fix: EpochFix | None) -> None:
-        velocity, velocity_sigma = start_velocity(self.state, stamp, geodetic, fix)
-        attitude = start_attitude(self.state, self.params, velocity, velocity_sigma)
-        if attitude is None:
-            self.tally.reject('gnss/fix', 'waiting for an attitude to start from')
-            return
-        q_nb, attitude_sigmas = attitude
-        nav = np.r_[geodetic, velocity, q_nb]
+        velocity, velocity_sigma = start_velocity(geodetic, fix)
         clock = (fix.position.clock, 0.0) if fix is not None else (0.0, 0.0)
         if fix is not None and fix.velocity is not None:
             clock = (clock[0], fix.velocity.clock)
-        sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, attitude_sigmas]
-        self.initialise(stamp, nav, sigmas, clock)
+        attitude = start_attitude(self.state, self.params, velocity, velocity_sigma)
+        if attitude is None:
+            level = np.array([1.0, 0.0, 0.0, 0.0])
+            sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, [0.0] * 3]
+            self.initialise(stamp, np.r_[geodetic, velocity, level], sigmas, clock)
+            P = self.covariance
+            P[at.ACC : at.GYR + 3, at.ACC : at.GYR + 3] = 0.0
+            self.state[at.STAGE] = at.COASTING
+        else:
+            sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, attitude[1]]
+            self.initialise(stamp, np.r_[geodetic, velocity, attitude[0]], sigmas, clock)
         self.covariance[at.POS : at.POS + 3, at.POS : at.POS + 3] = covariance
 
     def estimate(self, stamp: int) -> NavigationEstimate:

@@ -7,6 +7,9 @@ q_true = exp(error) q) 6-8, accelerometer bias 9-11, gyro bias 12-14, receiver c
 (m) 21; then per channel: slow range error (m), multipath (m), carrier noise of the last epoch (m).
 """
 
+# Values of STAGE.
+WAITING, COASTING, RUNNING = 0.0, 1.0, 2.0
+
 # Error states.
 POS, VEL, ATT, ACC, GYR, CLK, DRIFT, ISB, CLONE, CLONE_CLK, CHANNEL = 0, 3, 6, 9, 12, 15, 16, 17, 18, 21, 22
 NAV_STATES = 17  # those that the transition couples: position ... drift
@@ -26,7 +29,7 @@ ALIGN_COUNT, ALIGN_FORCE, ALIGN_RATE = 44, 45, 48
 ORIGIN, HAVE_ORIGIN = 51, 54
 IMU_SEC, IMU_NSEC = 55, 56
 STILL, ZERO_USED, CONSTRAINED = 57, 58, 59  # s: still since; last update of either kind
-START_VELOCITY, START_SEC = 60, 63
+FIX_SEC = 60
 HEAD = 64
 
 # One channel.

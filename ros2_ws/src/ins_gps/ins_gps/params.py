@@ -46,10 +46,10 @@ class FilterParams:
     code_slow_alone: float = parameter(
         2.5, 'the same without correction (orbit, clock, atmosphere)', unit='m', minimum=0.0
     )
-    code_multipath: float = parameter(1.0, 'first-order multipath of the code, one σ', unit='m', minimum=0.0)
+    code_multipath: float = parameter(2.0, 'first-order multipath of the code, one σ', unit='m', minimum=0.0)
     multipath_time: float = parameter(60.0, 'its correlation time', unit='s', minimum=0.1)
-    carrier_noise: float = parameter(0.003, 'white noise of the carrier', unit='m', minimum=1e-6)
-    carrier_walk: float = parameter(0.002, 'random walk of the carrier', unit='m/√s', minimum=0.0)
+    carrier_noise: float = parameter(0.01, 'white noise of the carrier', unit='m', minimum=1e-6)
+    carrier_walk: float = parameter(0.01, 'random walk of the carrier', unit='m/√s', minimum=0.0)
     doppler_noise: float = parameter(0.1, 'white noise of the Doppler', unit='m/s', minimum=1e-4)
     published_rate_noise: float = parameter(
         0.1, 'of the carrier difference taken as a rate', unit='m/s', minimum=1e-4
@@ -92,7 +92,7 @@ class FilterParams:
     initial_tilt_sigma: float = parameter(
         0.02, 'roll and pitch at the start, one σ', unit='rad', minimum=1e-6
     )
-    initial_yaw_sigma: float = parameter(0.2, 'yaw at the start, one σ', unit='rad', minimum=1e-6)
+    initial_yaw_sigma: float = parameter(0.3, 'yaw at the start, one σ', unit='rad', minimum=1e-6)
     alignment_speed: float = parameter(
         1.0, 'least horizontal speed for a yaw from the course', unit='m/s', minimum=0.1
     )

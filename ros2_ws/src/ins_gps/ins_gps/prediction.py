@@ -120,6 +120,30 @@ def error_dynamics(nav, force_n, mat_nb, F):
 
 
 @njit(cache=True, nogil=True)
+def transition(state, Phi):
+    """Fill Phi (NAV_STATES, NAV_STATES) with the transition over the span not yet in the covariance.
+
+    ``I + F dt + F² dt²/2`` with the mean force of the span.
+    """
+    dt = state[SPAN]
+    nav = state[NAVIGATION : NAVIGATION + NAV]
+    mean_force = state[SPAN_FORCE : SPAN_FORCE + 3] / dt
+    F = np.empty((NAV_STATES, NAV_STATES))
+    error_dynamics(nav, mean_force, matrix_from_quat(nav[6:10]), F)
+    Phi[:, :] = 0.0
+    half = 0.5 * dt * dt
+    for i in range(NAV_STATES):
+        Phi[i, i] = 1.0
+    for i in range(NAV_STATES):
+        for k in range(NAV_STATES):
+            f = F[i, k]
+            if f != 0.0:
+                Phi[i, k] += f * dt
+                for j in range(NAV_STATES):
+                    Phi[i, j] += half * f * F[k, j]
+
+
+@njit(cache=True, nogil=True)
 def advance_covariance(state, channels, config):
     """Bring the covariance up to the nominal state with the force accumulated since the last call."""
     dt = state[SPAN]
@@ -127,21 +151,8 @@ def advance_covariance(state, channels, config):
         return
     P = covariance_of(state, channels)
     n = P.shape[0]
-    nav = state[NAVIGATION : NAVIGATION + NAV]
-    mean_force = state[SPAN_FORCE : SPAN_FORCE + 3] / dt
-    F = np.empty((NAV_STATES, NAV_STATES))
-    error_dynamics(nav, mean_force, matrix_from_quat(nav[6:10]), F)
-    # Phi = I + F dt + F^2 dt^2 / 2
-    Phi = np.zeros((NAV_STATES, NAV_STATES))
-    half = 0.5 * dt * dt
-    for i in range(NAV_STATES):
-        Phi[i, i] = 1.0
-        for k in range(NAV_STATES):
-            f = F[i, k]
-            if f != 0.0:
-                Phi[i, k] += f * dt
-                for j in range(NAV_STATES):
-                    Phi[i, j] += half * f * F[k, j]
+    Phi = np.empty((NAV_STATES, NAV_STATES))
+    transition(state, Phi)
     rows = np.zeros((NAV_STATES, n))
     for i in range(NAV_STATES):
         for k in range(NAV_STATES):

@@ -26,7 +26,12 @@ _PAPER = {
     'channels': 8,
     'origin': (0.0, 0.0, 100.0),
 }
-_CORRELATED = _PAPER | {'code_noise': 0.6, 'code_slow_alone': 0.36, 'code_multipath': 0.6, 'origin': (21.0, 105.8, 100.0)}
+_CORRELATED = _PAPER | {
+    'code_noise': 0.6,
+    'code_slow_alone': 0.36,
+    'code_multipath': 0.6,
+    'origin': (21.0, 105.8, 100.0),
+}
 _FAULTS = _PAPER | {'origin': (21.0, 105.8, 100.0)}
 _COMPONENTS = ('norm',)
 

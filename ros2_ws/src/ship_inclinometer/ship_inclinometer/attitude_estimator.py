@@ -50,6 +50,19 @@ class AttitudeEstimator:
         self._delay = round(self.params.gnss_delay * NANOSECONDS)
         self._buffer = EventTimeBuffer(self.model, (IMU, MAG, GNSS, LOG), self.tally, self._window)
         self._angle_period = round(NANOSECONDS / self.params.angle_rate)
+        self._force_matrix = np.reshape(self.params.accelerometer_matrix, (3, 3))
+        self._field_matrix = np.reshape(self.params.magnetometer_matrix, (3, 3))
+        plain = AttitudeParams()
+        self._calibrated = any(
+            getattr(self.params, name) != getattr(plain, name)
+            for name in (
+                'gyro_offset',
+                'accelerometer_matrix',
+                'accelerometer_offset',
+                'magnetometer_matrix',
+                'magnetometer_offset',
+            )
+        )
         self._forget_outputs()
 
     def _forget_outputs(self) -> None:
@@ -73,6 +86,10 @@ class AttitudeEstimator:
         if reason:
             self.tally.reject(IMU, reason)
             return []
+        if self._calibrated:
+            gyro = np.subtract(sample.gyro, self.params.gyro_offset)
+            force = self._force_matrix @ np.subtract(sample.force, self.params.accelerometer_offset)
+            sample = sample._replace(gyro=tuple(gyro.tolist()), force=tuple(force.tolist()))
         restarts = self.tally.restart_count
         prompt, settled = self._buffer.feed(0, sample)
         if self.tally.restart_count != restarts:
@@ -97,6 +114,9 @@ class AttitudeEstimator:
         if norm == 0.0:
             self.tally.reject(MAG, 'zero field')
             return []
+        if self._calibrated:
+            field = self._field_matrix @ np.subtract(sample.field, self.params.magnetometer_offset)
+            sample = sample._replace(field=tuple(field.tolist()))
         return self._aid(1, MAG, sample)
 
     def on_gnss(self, sample: VelocitySample) -> list[Any]:

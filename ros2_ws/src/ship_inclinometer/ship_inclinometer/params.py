@@ -113,6 +113,15 @@ class AttitudeParams:
     antenna_lever_arm: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0), 'GNSS antenna from the IMU, x forward y left z up', unit='m'
     )
+    magnetometer_matrix: tuple[float, ...] = parameter(
+        (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), 'calibration: matrix (row by row) of raw - offset'
+    )
+    magnetometer_offset: tuple[float, ...] = parameter((0.0, 0.0, 0.0), 'calibration: hard iron', unit='T')
+    accelerometer_matrix: tuple[float, ...] = parameter(
+        (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), 'calibration: matrix (row by row) of raw - offset'
+    )
+    accelerometer_offset: tuple[float, ...] = parameter((0.0, 0.0, 0.0), 'calibration: offset', unit='m/s²')
+    gyro_offset: tuple[float, ...] = parameter((0.0, 0.0, 0.0), 'calibration: rate at rest', unit='rad/s')
     published_interval: float = parameter(
         0.2, 'interval of the update of the published schedule', unit='s', minimum=0.001, maximum=10.0
     )

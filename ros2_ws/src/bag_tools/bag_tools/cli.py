@@ -19,8 +19,16 @@ _REDRAW = 0.2  # s
 _WIDTH = 30  # characters
 
 
-def guarded(name: str, main: Callable[[list[str]], int], argv: list[str] | None) -> int:
-    """Run ``main(arguments)``; turn what the user can mend into one line on stderr and exit code 2."""
+def guarded(
+    name: str,
+    main: Callable[[list[str]], int],
+    argv: list[str] | None,
+    interrupted: int = EXIT_INTERRUPTED,
+) -> int:
+    """Run ``main(arguments)``; turn what the user can mend into one line on stderr and exit code 2.
+
+    `interrupted` is the exit code after Ctrl-C: nodes end with 0, work that is left undone does not.
+    """
     try:
         return main(sys.argv[1:] if argv is None else argv)
     except (BagError, ParameterError) as error:
@@ -31,7 +39,7 @@ def guarded(name: str, main: Callable[[list[str]], int], argv: list[str] | None)
         print(f'{name}: {where}{error.strerror or error}', file=sys.stderr)
         return EXIT_USAGE
     except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+        return interrupted
 
 
 class Progress:

@@ -105,9 +105,14 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _colors(runs: Sequence[RunResult]) -> dict[str, str]:
-    """Give every estimator one colour for the whole page."""
-    names = list(dict.fromkeys(name for run in runs for name in run.comparisons))
-    return {name: f's{min(i, SERIES - 1)}' for i, name in enumerate(names)}
+    """Give every estimator one colour for the whole page, no two of one run the same while colours last."""
+    colors: dict[str, str] = {}
+    for name in dict.fromkeys(name for run in runs for name in run.comparisons):
+        others = {n for run in runs if name in run.comparisons for n in run.comparisons}
+        taken = {colors[n] for n in others if n in colors}
+        free = [f's{i}' for i in range(SERIES) if f's{i}' not in taken]
+        colors[name] = free[0] if free else f's{len(colors) % SERIES}'
+    return colors
 
 
 def _chip(name: str, color: str) -> str:

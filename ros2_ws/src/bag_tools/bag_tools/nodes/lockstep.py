@@ -11,9 +11,9 @@ packets arrive in order, so with one message in flight the outputs are here befo
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
-from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
@@ -103,8 +103,11 @@ class LockStep:
                 return key
         return None
 
-    def wait(self, executor: Executor) -> None:
-        """Return when everything published is processed; raise BagError naming who is behind."""
+    def wait(self, spin_for: Callable[[float], None]) -> None:
+        """Return when everything published is processed; raise BagError naming who is behind.
+
+        `spin_for` serves callbacks until something happened or so many seconds are over.
+        """
         deadline = time.monotonic() + self._timeout
         while True:
             behind = self._behind()
@@ -120,4 +123,4 @@ class LockStep:
                     f"lock-step: node '{name}' has not processed a message of '{topic}' within "
                     f'{self._timeout:g} s{gone}'
                 )
-            executor.spin_once(timeout_sec=0.1)
+            spin_for(0.1)

@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import sys
 
-import rclpy
-from rclpy.executors import ExternalShutdownException
-
-from bag_tools import rosargs
-from bag_tools.bag import BagReader
-from bag_tools.cli import Progress, guarded
-from bag_tools.play import options_from
+# Imports stand in the functions: they take a second, and Ctrl-C in that second has to be as clean as later.
 
 
 def run(argv: list[str]) -> int:
     """Play as the command line says."""
+    import rclpy
+    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy.executors import ExternalShutdownException
+
+    from bag_tools import rosargs
+    from bag_tools.bag import BagReader
+    from bag_tools.cli import Progress
     from bag_tools.nodes.player import Player
+    from bag_tools.play import options_from
 
     own, ros = rosargs.split(argv)
     options = options_from(own)
@@ -31,6 +33,9 @@ def run(argv: list[str]) -> int:
             print(f'played {node.played} messages of {options.bag}')
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
+        except RCLError:
+            if rclpy.ok():  # else the signal came within a call of ROS
+                raise
         finally:
             if node is not None:
                 node.destroy_node()
@@ -40,7 +45,12 @@ def run(argv: list[str]) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point."""
-    return guarded('play', run, argv)
+    try:
+        from bag_tools.cli import guarded
+
+        return guarded('play', run, argv, interrupted=0)
+    except KeyboardInterrupt:
+        return 0
 
 
 if __name__ == '__main__':

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -95,6 +95,8 @@ class Player(Node):
 
     def spin_for(self, seconds: float) -> None:
         """Serve services and acknowledgements until something happened or `seconds` are over."""
+        if not self.context.ok():
+            raise ExternalShutdownException
         self._executor.spin_once(timeout_sec=max(seconds, 0.0))
 
     def wait_for_subscribers(self) -> None:
@@ -203,7 +205,7 @@ class Player(Node):
         self.played += 1
         if self._lockstep is not None:
             self._lockstep.published(publisher.topic_name)
-            self._lockstep.wait(self._executor)
+            self._lockstep.wait(self.spin_for)
         elif not self.played % _BURST:
             self.spin_for(0.0)
 

@@ -5,7 +5,7 @@ import math
 
 from numba import njit
 
-from imu_kalman.attitude_field import magnetic_update, turn_field
+from imu_kalman.attitude_field import forget_heading, magnetic_update, turn_field
 from imu_kalman.attitude_layout import (
     ACC_SUM,
     ALIGNED,
@@ -51,6 +51,7 @@ from imu_kalman.attitude_layout import (
     ROW,
     SPAN,
     START_SPAN,
+    UNKNOWN_ANGLE_VAR,
     USE_MAG,
     VECTORS,
     VEL,
@@ -244,6 +245,8 @@ def close_block(state, par, work):
             state[ALIGNED] = -1.0
             state[GRAVITY : GRAVITY + 3] = 0.0
             code = REALIGNING
+    if cov[2, 2] > UNKNOWN_ANGLE_VAR:
+        forget_heading(cov)
     state[MAG_WAIT] += state[SPAN]
     if par[USE_MAG] != 0.0 and state[MAG_COUNT] > 0.0:
         magnetic_update(state, par, work, cov)

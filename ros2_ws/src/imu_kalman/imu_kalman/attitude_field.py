@@ -8,6 +8,7 @@ from numba import njit
 from imu_kalman.attitude_layout import (
     ALIGNED,
     DIP_GATE,
+    GAIN,
     MAG_COUNT,
     MAG_DECAY,
     MAG_DISTURBED,
@@ -36,7 +37,7 @@ from imu_kalman.attitude_layout import (
     VECTORS,
     N,
 )
-from imu_kalman.attitude_linear import scalar_update, turned_since
+from imu_kalman.attitude_linear import inject, scalar_update, turned_since
 
 # Spans up to this age (s) of the field reference are averaged equally: a start needs a value at once.
 _REF_START = 2.0
@@ -89,7 +90,7 @@ def magnetic_update(state, par, work, cov):
             return
     share = max(horizontal / norm, _MIN_HORIZONTAL)
     # A disturbance e of any direction turns the horizontal field by e / cos(dip).
-    variance = (par[MAG_PSD] + par[MAG_SPAN] * disturbance / (share * share)) / span
+    disturbed = disturbance / (share * share)
     h = work[VECTORS, ROW]
     h[:] = 0.0
     # Taken where the field is expected (north), not where it was found: a row that follows the measured
@@ -97,23 +98,38 @@ def magnetic_update(state, par, work, cov):
     h[1] = -mz / max(horizontal, _MIN_HORIZONTAL * norm)
     h[2] = 1.0
     innovation = math.atan2(mx, my) - turned_since(work, h)
+    if cov[2, 2] >= UNKNOWN_ANGLE_VAR or state[ALIGNED] < par[START_SPAN]:
+        set_heading(state, cov, work, math.atan2(mx, my), par[MAG_PSD] / span + disturbed)
+        return
+    variance = (par[MAG_PSD] + par[MAG_SPAN] * disturbed) / span
     total = scalar_update(state, cov, work, h, innovation, variance, True)
     nis = innovation * innovation / total
     state[MAG_NIS] = nis
     state[MAG_MEAN_NIS] += (nis - state[MAG_MEAN_NIS]) * min(1.0, span / _CONTRADICTION_MEMORY)
     if state[MAG_MEAN_NIS] > _CONTRADICTION:
-        forget_heading(state, cov)
+        forget_heading(cov)
+        state[MAG_MEAN_NIS] = 0.0
+        state[MAG_STATUS] = MAG_RELEARNED
 
 
 @njit(cache=True, nogil=True)
-def forget_heading(state, cov):
-    """Make heading unknown and independent: a steady field contradicts it, so the field sets it anew."""
+def forget_heading(cov):
+    """Make heading unknown and independent of all else; the next field sets it."""
     for i in range(N):
         cov[2, i] = 0.0
         cov[i, 2] = 0.0
     cov[2, 2] = UNKNOWN_ANGLE_VAR
-    state[MAG_MEAN_NIS] = 0.0
-    state[MAG_STATUS] = MAG_RELEARNED
+
+
+@njit(cache=True, nogil=True)
+def set_heading(state, cov, work, angle, variance):
+    """Turn an unknown heading by `angle` (rad) at once, whatever its size."""
+    gain = work[VECTORS, GAIN]
+    gain[:] = 0.0
+    gain[2] = 1.0
+    inject(state, work, angle)
+    forget_heading(cov)
+    cov[2, 2] = min(variance, UNKNOWN_ANGLE_VAR)
 
 
 @njit(cache=True, nogil=True)

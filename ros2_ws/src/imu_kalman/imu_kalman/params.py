@@ -96,7 +96,7 @@ class AttitudeParams:
         7e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0, maximum=0.1
     )
     bias_sigma: float = parameter(
-        0.05, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=1e-6, maximum=1.0
+        0.03, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=1e-6, maximum=1.0
     )
     accel_noise: float = parameter(
         0.02, 'white noise of the accelerometer', unit='m/s^2/sqrt(Hz)', minimum=1e-6, maximum=10.0

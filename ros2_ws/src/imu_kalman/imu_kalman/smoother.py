@@ -209,9 +209,7 @@ def backward(records, count, smoothed):
         _unpack_triangle(record[_AFTER:_CORRECTION], after)
         _unpack_triangle(following[_BEFORE:_AFTER], before)
         if following[_LINK] == RIGID:
-            # Alignment turned the whole of local level: what is known later turns the past alike.
-            smoothed[k, :N] = 0.0
-            _compose(smoothed[k + 1], following[_CORRECTION:_SUMS], smoothed[k])
+            _carry_back(following, smoothed[k + 1], smoothed[k])
             _attitude_triangle(cov, smoothed[k, N:])
             continue
         for i in range(N):
@@ -250,13 +248,24 @@ def backward(records, count, smoothed):
 
 
 @njit(cache=True, nogil=True)
-def _compose(second, first, out):
-    """Write the rotation vector of the turn `first` followed by the turn `second` into out[:3]."""
+def _carry_back(following, later, earlier):
+    """Carry a correction back over a block of the alignment, which turned the whole of local level.
+
+    What is known later turns the past alike, and the bias found later turns it by its own integral.
+    """
+    earlier[:N] = 0.0
+    turned = np.zeros(3)
+    for i in range(3):
+        earlier[3 + i] = following[_CORRECTION + 3 + i] + later[3 + i]
+    for i in range(3):
+        for j in range(3):
+            turned[i] += following[_SUMS + 1 + 3 * i + j] * earlier[3 + j]
     state = np.zeros(STATE)
     state[Q] = 1.0
-    turn(state, first[0], first[1], first[2])
-    turn(state, second[0], second[1], second[2])
-    whole_turn(state, np.array((1.0, 0.0, 0.0, 0.0)), out)
+    turn(state, turned[0], turned[1], turned[2])
+    turn(state, following[_CORRECTION], following[_CORRECTION + 1], following[_CORRECTION + 2])
+    turn(state, later[0], later[1], later[2])
+    whole_turn(state, np.array((1.0, 0.0, 0.0, 0.0)), earlier)
 
 
 @njit(cache=True, nogil=True)

@@ -144,15 +144,14 @@ def test_a_loop_goes_on_until_ctrl_c(bag):
     assert stamps[:25] == stamps[25:50]
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_player_can_be_stopped_while_it_waits_or_pauses_or_steps(bag, number):
+def test_a_player_can_be_stopped_while_it_waits_or_pauses_or_steps(bag):
     with play(bag) as waiting, probe() as p:
         p.until(lambda: p.node.count_publishers('/imu/mag'), 'the player', process=waiting)
-        waiting.send(number)
+        waiting.send(signal.SIGINT)
         assert waiting.wait() == 0, waiting.output
         with play(bag, '--start-paused', '--no-wait') as paused:
             assert p.call('std_srvs/srv/Trigger', '/player/step').success
-            paused.send(number)
+            paused.send(signal.SIGTERM)
             assert paused.wait() == 0, paused.output
         received = p.collect('geometry_msgs/msg/Vector3Stamped', 'mixture')
         with (
@@ -160,7 +159,7 @@ def test_a_player_can_be_stopped_while_it_waits_or_pauses_or_steps(bag, number):
             play(bag, '--lockstep', '--loop', '--fast', '--wait-for', '/mix') as player,
         ):
             p.until(lambda: len(received) > 50, 'outputs', process=player)
-            player.send(number)
+            player.send(signal.SIGINT)
             assert player.wait() == 0, player.output
             assert node.stop() == 0
 
@@ -185,14 +184,17 @@ def test_simulated_time_stamps_the_recording(tmp_path):
         clock = p.publisher('rosgraph_msgs/msg/Clock', '/clock', process=recorder)
         tick = Clock()
         tick.clock.sec = 77
-        clock.publish(tick)
-        assert clock.wait_for_all_acked()
-        for _ in range(20):
+
+        def said():
+            # /clock is read as best effort: the first ticks may be lost.
+            clock.publish(tick)
             note.publish(String(data='x'))
+            return not recorder.running
+
+        p.until(said, 'the end of the recording')
         ended(recorder)
     with BagReader(tmp_path / 'out') as reader:
         stamps = [s for _, s, _ in reader.messages()]
-    # An executor may take a message that is there before the clock that is there too, but not many.
     assert set(stamps) <= {0, 77 * SECOND}
     assert stamps[-1] == 77 * SECOND
 

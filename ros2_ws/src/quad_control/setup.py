@@ -16,7 +16,7 @@ setup(
     ],
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
-    package_data={package_name: ['py.typed']},
+    package_data={package_name: ['py.typed', 'web/*']},
     zip_safe=True,
     maintainer='Estimator workspace maintainers',
     maintainer_email='maintainers@estimator-workspace.invalid',

@@ -13,8 +13,9 @@ from node_core.messages import finite3, get_quaternion, set3, set_floats, set_qu
 from node_core.ports import BadMessage, Input, Output, Ports
 from quad_control.attitude_filter import AttitudeFilter
 from quad_control.controller import AttitudeController
-from quad_control.craft import MOTORS
-from quad_control.params import AttitudeParams, ControllerParams
+from quad_control.craft import MOTORS, SimulatorParams
+from quad_control.params import AttitudeParams, ControllerParams, EscParams, WebParams
+from quad_control.pilot import PilotParams
 from quad_control.samples import (
     ArmingState,
     Attitude,
@@ -255,5 +256,12 @@ CONTROLLER_PORTS = Ports(
     },
     warm=warm,
 )
+
+NODE_PARAMETERS = {
+    'quad_simulator': SimulatorParams,
+    'pilot': PilotParams,
+    'esc_driver': EscParams,
+    'web_tuner': WebParams,
+}
 
 ESTIMATORS = {ports.name: ports for ports in (FILTER_PORTS, CONTROLLER_PORTS)}

@@ -324,6 +324,21 @@ class EscParams:
             )
 
 
+@dataclass(frozen=True)
+class WebParams:
+    """The tuning page."""
+
+    host: str = parameter('127.0.0.1', 'address to listen on; others than loopback need a token of your own')
+    port: int = parameter(8090, 'port; 0 = any free one', minimum=0, maximum=65535)
+    token: str = parameter('', 'secret of the page; empty = a new one at each start, printed with the link')
+
+    def __post_init__(self) -> None:
+        """Check the rules that span fields."""
+        loopback = self.host in ('127.0.0.1', 'localhost', '::1')
+        if (self.token or not loopback) and len(self.token) < 16:
+            raise ParameterError("parameter 'token' is too short, allowed: 16 characters or more")
+
+
 GAINS = tuple(
     field.name
     for cls in (PidParams, CascadeParams)

@@ -48,7 +48,7 @@ class VelocityParams:
         0.15, 'noise of a wheel or vehicle speed signal', unit='m/s', minimum=1e-3, live=True
     )
     wheel_speed_correlation: float = parameter(
-        0.5, 'time over which that noise is one and the same', unit='s', minimum=0.0, live=True
+        0.1, 'time over which that noise is one and the same', unit='s', minimum=0.0, live=True
     )
     wheel_delay: float = parameter(0.0, 'delay of the wheel signal', unit='s', minimum=0.0, maximum=1.0)
     wheel_delay_sigma: float = parameter(0.0, 'its uncertainty', unit='s', minimum=0.0, maximum=1.0)

@@ -118,40 +118,61 @@ def _gps(settings: Settings, t: np.ndarray, v: np.ndarray, rng: np.random.Genera
     return stamps[keep], speed[keep]
 
 
-def simulate(settings: Settings, seed: int, duration: float = DURATION, car: int | None = None) -> Drive:
-    """Return one drive of `duration` s under `settings`; two drives of one `car` have the same wheels."""
+def observe(
+    settings: Settings,
+    seed: int,
+    t: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    distance: np.ndarray,
+    wheel: np.ndarray,
+    grade: np.ndarray,
+    accelerator: np.ndarray,
+    brake: np.ndarray,
+    car: int | None = None,
+) -> Drive:
+    """Return what the sensors of `settings` see of a motion (all (n,), SI).
+
+    `wheel` is the circumference speed with all slip but that per acceleration, of a wheel of the nominal
+    radius; `grade` is added to the road's own. Two drives of one `car` have the same wheels.
+    """
     rng = np.random.default_rng(seed)
     wheels = np.random.default_rng((seed if car is None else car, 1))
-    t = np.arange(round(duration * RATE) + 1) / RATE
     radius_error = settings.radius_error * wheels.choice((-1.0, 1.0))
     bias = settings.bias * rng.choice((-1.0, 1.0))
     hill_phase = rng.uniform(0.0, 2.0 * np.pi)
     tooth = rng.uniform(0.0, 1.0)
-    spin_at = settings.spin[0] + rng.uniform(-0.5, 0.5)
-    v, a = _motion(settings, t, rng)
-    distance = np.cumsum(v) / RATE
-    grade = settings.grade * np.sin(2.0 * np.pi * distance / settings.grade_length + hill_phase)
+    grade = grade + settings.grade * np.sin(2.0 * np.pi * distance / settings.grade_length + hill_phase)
     accelerometer = (
         a * (1.0 + settings.pitch_gain)
         + bias
         + GRAVITY * np.sin(np.arctan(grade))
         + settings.accelerometer_noise * rng.standard_normal(t.size)
     )
-    wheel = v * (1.0 + settings.slip_per_acceleration * a) / (1.0 + radius_error)
+    spin_at = settings.spin[0] + rng.uniform(-0.5, 0.5)
+    wheel = wheel * (1.0 + settings.slip_per_acceleration * a) / (1.0 + radius_error)
     if settings.spin[1] > 0.0:
         wheel = wheel + _spin_excess(settings, t, spin_at)
-    wheel_step = round(RATE / settings.wheel_rate)
-    counts = np.floor(np.cumsum(wheel) / RATE / PULSE + tooth)[::wheel_step]
+    step = round(RATE / settings.wheel_rate)
+    counts = np.floor(np.cumsum(wheel) / RATE / PULSE + tooth)[::step]
     gps_t, gps_v = _gps(settings, t, v, rng)
+    return Drive(
+        settings, t, v, a, accelerometer, wheel, t[::step], counts, gps_t, gps_v, accelerator, brake,
+        radius_error, (spin_at, spin_at + settings.spin[1]),
+    )  # fmt: skip
+
+
+def simulate(settings: Settings, seed: int, duration: float = DURATION, car: int | None = None) -> Drive:
+    """Return one drive of `duration` s under `settings`; two drives of one `car` have the same wheels."""
+    t = np.arange(round(duration * RATE) + 1) / RATE
+    v, a = _motion(settings, t, np.random.default_rng((seed, 2)))
+    distance = np.cumsum(v) / RATE
     planned = acceleration_profile(settings.phases, t)
     moving = v > 0.0
     holding = moving & (np.abs(planned) <= 0.15)
     accelerator = np.where(planned > 0.15, 0.15 + 0.2 * planned, np.where(holding, 0.10, 0.0))
     brake = np.where((planned < -0.5) & moving, np.minimum(1.0, -0.15 * planned), 0.0)
-    return Drive(
-        settings, t, v, a, accelerometer, wheel, t[::wheel_step], counts, gps_t, gps_v, accelerator, brake,
-        radius_error, (spin_at, spin_at + settings.spin[1]),
-    )  # fmt: skip
+    return observe(settings, seed, t, v, a, distance, v, np.zeros(t.size), accelerator, brake, car)
 
 
 _OIL = Settings(phases=OIL_PATCH, spin=(20.0, 0.4, 6.0))

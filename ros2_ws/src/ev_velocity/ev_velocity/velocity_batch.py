@@ -13,11 +13,11 @@ from ev_velocity import velocity_memory as mem
 from ev_velocity.params import VelocityParams
 from ev_velocity.scenarios import PULSES, Drive
 from ev_velocity.velocity import EPOCH, GPS_SIGMA_FLOOR, kernel_constants, start_memory
-from ev_velocity.velocity_kernels import force_step
-from ev_velocity.velocity_memory import OUT_ACCELERATION, OUT_SPEED, OUT_SPEED_VARIANCE, N, X
+from ev_velocity.velocity_kernels import force_step, predict
+from ev_velocity.velocity_memory import DIRECTION, OUT_ACCELERATION, OUT_SPEED, OUT_SPEED_VARIANCE, N, X
 from ev_velocity.velocity_updates import count_step, gps_step, speed_step
 
-FORCE, GPS, COUNT, SPEED = range(4)
+FORCE, GPS, COUNT, SPEED, GEAR = range(5)
 
 
 class Series(NamedTuple):
@@ -58,6 +58,9 @@ def _run(m, constants, kinds, times, values, variances, out, states, done):
             done[i] = gps_step(m, constants, values[i], variances[i], times[i], h)
         elif kind == COUNT:
             done[i] = count_step(m, constants, values[i], times[i], h)
+        elif kind == GEAR:
+            predict(m, constants, times[i])
+            m[DIRECTION] = values[i]
         else:
             done[i] = speed_step(m, constants, values[i], variances[i], times[i], h)
 
@@ -79,13 +82,14 @@ def run(
     gps: tuple[np.ndarray, np.ndarray] | None = None,
     angle: tuple[np.ndarray, np.ndarray] | None = None,
     wheel_speed: tuple[np.ndarray, np.ndarray] | None = None,
+    gear: tuple[np.ndarray, np.ndarray] | None = None,
     gps_sigma: float | None = None,
     wheel_speed_sigma: float | None = None,
 ) -> Series:
     """Filter a drive given as (times in s, values) of each sensor; the sigmas (m/s) as messages give them."""
     per_radian = params.pulses_per_revolution / (2.0 * math.pi)
     streams = []
-    for kind, stream in ((FORCE, force), (GPS, gps), (COUNT, angle), (SPEED, wheel_speed)):
+    for kind, stream in zip(range(5), (force, gps, angle, wheel_speed, gear)):
         if stream is not None:
             t, v = np.asarray(stream[0], dtype=np.float64), np.asarray(stream[1], dtype=np.float64)
             streams.append((np.full(t.size, kind), np.rint(t * 1e9), v * per_radian if kind == COUNT else v))

@@ -9,6 +9,7 @@ is still to be let out: it follows the acceleration unfiltered and never steps.
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 from ev_velocity.velocity_memory import (
@@ -52,15 +53,15 @@ from ev_velocity.velocity_memory import (
 from kalman_core.linear import correct_scalar
 
 NS = 1e-9
-# Below this speed (m/s) the sign of an unsigned sensor is not taken from the estimate.
-STILL_BAND = 0.3
 # A delay (s) may be estimated this far below zero: some loggers stamp early.
 DELAY_EARLY = 0.5
 DELAY_MAX = 1.0
 # Physical limits of the constants: beyond them the model means nothing.
-GAIN_LIMIT = 0.2
+GAIN_LIMIT = 0.5
 SCALE_LIMIT = 0.3
 SLIP_LIMIT = 0.05
+# Rounding must not make a variance zero or negative.
+LEAST_VARIANCE = 1e-14
 # Ring entries are this far apart (ns): linear interpolation of ∫f dt errs by jerk·step²/8 < 1 mm/s.
 RING_STEP = 1e7
 # A correction beyond this (m/s) is a new start, not a correction: it goes out at once.
@@ -71,10 +72,11 @@ STEP = 0.002
 
 @njit(cache=True, nogil=True)
 def direction_of(m):
-    """Return the sense (±1) of unsigned sensors: the gear's if known, else the estimate's."""
-    if m[DIRECTION] != 0.0:
-        return m[DIRECTION]
-    return -1.0 if m[X + V] < -STILL_BAND else 1.0
+    """Return the sense (±1) of unsigned sensors: the gear's, forward while that is unknown.
+
+    The estimate's own sign would not do: a moment's negative speed would turn every sensor against it.
+    """
+    return -1.0 if m[DIRECTION] < 0.0 else 1.0
 
 
 @njit(cache=True, nogil=True)
@@ -190,16 +192,57 @@ def correct(m, residual, h, r, gate):
     Returns the normalised innovation squared; beyond `gate` nothing is changed. What the speed changes goes
     into the bleed.
     """
+    before = m[X + V]
+    _, nis = correct_scalar(m[X : X + N], m[P : P + N * N].reshape(N, N), residual, h, r, gate)
+    _limit(m)
+    m[BLEED] += m[X + V] - before
+    return nis
+
+
+@njit(cache=True, nogil=True)
+def consider(m, residual, h, r, gate):
+    """Correct like `correct`, but leave the wheel's scale and slip as they are and their uncertainty counted.
+
+    Without a GPS only the accelerometer's gain tells them, which is not good enough to weigh a wheel by
+    (Schmidt's consider filter).
+    """
     x = m[X : X + N]
+    cov = m[P : P + N * N].reshape(N, N)
+    ph = np.zeros(N)
+    for i in range(N):
+        for j in range(N):
+            ph[i] += cov[i, j] * h[j]
+    s = r
+    for i in range(N):
+        s += h[i] * ph[i]
+    nis = residual * residual / s
+    if not nis <= gate:
+        return nis
+    gain = ph / s
+    gain[S] = 0.0
+    gain[C] = 0.0
     before = x[V]
-    _, nis = correct_scalar(x, m[P : P + N * N].reshape(N, N), residual, h, r, gate)
+    for i in range(N):
+        x[i] += gain[i] * residual
+        for j in range(i, N):
+            value = cov[i, j] - gain[i] * ph[j] - ph[i] * gain[j] + gain[i] * gain[j] * s
+            cov[i, j] = value
+            cov[j, i] = value
+        cov[i, i] = max(cov[i, i], LEAST_VARIANCE)
+    _limit(m)
+    m[BLEED] += x[V] - before
+    return nis
+
+
+@njit(cache=True, nogil=True)
+def _limit(m):
+    """Keep the constants within what they can physically be."""
+    x = m[X : X + N]
     x[K] = min(max(x[K], -GAIN_LIMIT), GAIN_LIMIT)
     x[S] = min(max(x[S], -SCALE_LIMIT), SCALE_LIMIT)
     x[C] = min(max(x[C], -SLIP_LIMIT), SLIP_LIMIT)
     x[TG] = min(max(x[TG], -DELAY_EARLY), DELAY_MAX)
     x[TW] = min(max(x[TW], -DELAY_EARLY), DELAY_MAX)
-    m[BLEED] += x[V] - before
-    return nis
 
 
 @njit(cache=True, nogil=True)

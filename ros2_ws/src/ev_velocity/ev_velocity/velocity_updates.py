@@ -12,11 +12,17 @@ import math
 
 from numba import njit
 
-from ev_velocity.velocity_kernels import NS, STILL_BAND, correct, delayed_row, direction_of, predict
+from ev_velocity.velocity_kernels import (
+    NS,
+    consider,
+    correct,
+    delayed_row,
+    direction_of,
+    predict,
+)
 from ev_velocity.velocity_memory import (
     COUNT,
     COUNT_TIME,
-    DIRECTION,
     GATE,
     GPS_ACCEPTED,
     GPS_REFUSED_SINCE,
@@ -77,9 +83,15 @@ VOUCHED = 3.0
 # Without a GPS the wheel waits this share of the lock-out time: 4 s of 10, longer than a slip lasts.
 ALONE = 0.4
 # Time (s) within which a wrong acceleration has built up the residual that shows it.
-SINCE = 2.0
+SINCE = 0.5
+# Time (s) over which the wheel's residual is averaged: one count at 10 Hz is good for 0.2 m/s only.
+WHEEL_AVERAGE = 0.5
+# Smallest mean residual (m/s) of the wheel that says something.
+WHEEL_SAYS = 0.1
 # Below this speed (m/s) ABS sensors and OBD may read zero on a moving car.
 BLIND_SPEED = 1.5
+# Below this speed (m/s) a slip ratio means nothing.
+SLIP_SPEED = 0.3
 NO_GATE = math.inf
 
 
@@ -162,6 +174,12 @@ def _reopen_scale(m, constants):
 
 
 @njit(cache=True, nogil=True)
+def _follow_wheel(m, residual, dt):
+    """Follow the wheel's mean residual (m/s), refused or not."""
+    m[WHEEL_RESIDUAL] += min(dt / WHEEL_AVERAGE, 1.0) * (residual - m[WHEEL_RESIDUAL])
+
+
+@njit(cache=True, nogil=True)
 def _surprised(m, nis):
     elapsed = (m[TIME] - m[SURPRISE_TIME]) * NS
     m[SURPRISE_TIME] = m[TIME]
@@ -177,9 +195,9 @@ def tooth_variance(constants):
 
 @njit(cache=True, nogil=True)
 def slip_ratio(wheel, speed):
-    """Return (v_wheel − v)/max(|v_wheel|, |v|); 0 below STILL_BAND, where the ratio means nothing."""
+    """Return (v_wheel − v)/max(|v_wheel|, |v|); 0 below SLIP_SPEED, where the ratio means nothing."""
     larger = max(abs(wheel), abs(speed))
-    return (wheel - speed) / larger if larger > STILL_BAND else 0.0
+    return (wheel - speed) / larger if larger > SLIP_SPEED else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -193,8 +211,7 @@ def gps_step(m, constants, speed, variance, t, h):
     floor = RECTIFIED * math.sqrt(variance)
     if speed < floor and abs(predicted) < floor:
         return SKIPPED
-    reverse = m[DIRECTION] < 0.0 if abs(predicted) < STILL_BAND else predicted < 0.0
-    residual = (-speed if reverse else speed) - predicted
+    residual = direction_of(m) * speed - predicted
     m[NIS] = correct(m, residual, h, variance, constants[GATE])
     _surprised(m, m[NIS])
     if m[NIS] <= constants[GATE]:
@@ -202,8 +219,8 @@ def gps_step(m, constants, speed, variance, t, h):
         m[GPS_ACCEPTED] = t
         return USED
     vouched = _recent(m, WHEEL_ACCEPTED)
-    against = m[WHEEL_RESIDUAL] if _recent(m, WHEEL_TIME) and not vouched else 0.0
-    agree = against * residual > 0.0 and 0.5 < against / residual < 2.0
+    against = m[WHEEL_RESIDUAL] if _recent(m, WHEEL_TIME) else 0.0
+    agree = abs(against) > WHEEL_SAYS and 0.5 < against / residual < 2.0
     limit = constants[LOCKOUT] * (VOUCHED if vouched else 1.0)
     if not (agree or _refused_too_long(m, GPS_REFUSED_SINCE, limit)):
         return REFUSED
@@ -216,13 +233,21 @@ def gps_step(m, constants, speed, variance, t, h):
 
 
 @njit(cache=True, nogil=True)
+def _correct_by_wheel(m, constants, residual, h, r, gate):
+    """Correct with a wheel sensor; it is learned anew only beside a GPS."""
+    if m[GPS_ACCEPTED] >= 0.0 and m[TIME] - m[GPS_ACCEPTED] < constants[LOCKOUT]:
+        return correct(m, residual, h, r, gate)
+    return consider(m, residual, h, r, gate)
+
+
+@njit(cache=True, nogil=True)
 def _stand(m, constants, h):
     """Correct with speed zero. A contradiction starts the wait for standstill anew."""
     h[:] = 0.0
     h[V] = 1.0
     m[SLIP] = 0.0
     m[PENDING] = 0.0
-    m[NIS] = correct(m, -m[X + V], h, constants[STILL_VARIANCE], constants[GATE])
+    m[NIS] = _correct_by_wheel(m, constants, -m[X + V], h, constants[STILL_VARIANCE], constants[GATE])
     if m[NIS] <= constants[GATE]:
         m[WHEEL_ACCEPTED] = m[TIME]
         return USED
@@ -238,7 +263,7 @@ def _use_pending(m, constants, h):
         h[PW] = 1.0
         h[TW] = -m[PENDING_SPEED]
         residual = m[PENDING_COUNT] - (m[X + PW] - m[PENDING_SPEED] * m[X + TW])
-        correct(m, residual, h, tooth_variance(constants), NO_GATE)
+        _correct_by_wheel(m, constants, residual, h, tooth_variance(constants), NO_GATE)
         m[PENDING] = 0.0
 
 
@@ -287,7 +312,7 @@ def count_step(m, constants, count, t, h):
     h[TW] = -rolled
     residual = z - (m[X + W] - rolled * m[X + TW])
     variance = _variance_along(m, h)
-    m[WHEEL_RESIDUAL] = direction_of(m) * residual / dt
+    _follow_wheel(m, direction_of(m) * residual / dt, dt)
     m[NIS] = residual * residual / (variance + tooth_variance(constants))
     accepted = abs(residual) <= 0.5 * constants[TOOTH] + math.sqrt(constants[GATE] * variance)
     done = _judge_wheel(m, constants, accepted)
@@ -333,8 +358,7 @@ def speed_step(m, constants, speed, variance, t, h):
     elif abs(x[V]) < BLIND_SPEED:
         return SKIPPED
     then = delayed_row(m, TW, h)
-    reverse = m[DIRECTION] < 0.0 if abs(then) < STILL_BAND else then < 0.0
-    sign = -1.0 if reverse else 1.0
+    sign = direction_of(m)
     a = -h[TW]
     ratio = 1.0 + x[S] + x[C] * a * sign
     for i in range(N):
@@ -343,11 +367,11 @@ def speed_step(m, constants, speed, variance, t, h):
     h[C] = a * then * sign
     residual = sign * speed - ratio * then
     r = variance * max(1.0, constants[WHEEL_CORRELATION] / dt)
-    m[NIS] = correct(m, residual, h, r, constants[GATE])
-    m[WHEEL_RESIDUAL] = residual
+    m[NIS] = _correct_by_wheel(m, constants, residual, h, r, constants[GATE])
+    _follow_wheel(m, residual, dt * NS)
     m[SLIP] = slip_ratio(m[WHEEL_SPEED], then)
     _surprised(m, m[NIS])
     done = _judge_wheel(m, constants, m[NIS] <= constants[GATE])
     if done == REOPENED:
-        correct(m, residual, h, r, NO_GATE)
+        _correct_by_wheel(m, constants, residual, h, r, NO_GATE)
     return done

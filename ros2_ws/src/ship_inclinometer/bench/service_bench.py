@@ -104,7 +104,7 @@ def recorded_sphere() -> np.ndarray | None:
 
 
 def held_out_spread(raw: np.ndarray, block: int, folds: int) -> float:
-    """Return the spread [%] of the norm on samples not used for the fit: every `folds`-th block of samples."""
+    """Return the spread [%] of the norm on samples not used for the fit, every `folds`-th block."""
     group = np.arange(len(raw)) // block % folds
     norms = np.empty(len(raw))
     for fold in range(folds):

@@ -57,9 +57,10 @@ def scale_row(cov, target, factor):
 def scalar_update(state, cov, h, innovation, variance, moves, up):
     """Use one scalar measurement ``innovation = h · error + noise`` and return its NIS.
 
-    h (N,). `moves` says what it may correct: ALL, TILT (all but heading and the bias about the vertical) or
-    HEADING (those alone); the rest is considered, not moved (Schmidt; covariance in
-    Joseph's form), and so is the magnetic deviation always. up (3,) is the vertical in body axes.
+    h (N,). `moves` says what it may correct: ALL, TILT (all but heading, the gyro bias about the vertical
+    and the accelerometer bias) or HEADING (heading and the gyro bias about the vertical). The rest is
+    considered, not moved (Schmidt; covariance in Joseph's form), and so is the magnetic deviation always.
+    up (3,) is the vertical in body axes.
     """
     ph = np.zeros(N)
     for j in range(N):
@@ -77,6 +78,8 @@ def scalar_update(state, cov, h, innovation, variance, moves, up):
             gain[TH + 2] = 0.0
             for i in range(3):
                 gain[BG + i] -= about * up[i]
+                # Heave and sway keep step with roll: what looks like a bias is the sea.
+                gain[BA + i] = 0.0
         else:
             heading = gain[TH + 2]
             gain[:] = 0.0

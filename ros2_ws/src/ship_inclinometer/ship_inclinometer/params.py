@@ -30,7 +30,7 @@ class AttitudeParams:
         0.006, 'accelerometer white noise', unit='m/s²/√Hz', minimum=1e-5, maximum=1.0
     )
     accelerometer_bias_sigma: float = parameter(
-        1.5,
+        1.2,
         'standard deviation of the accelerometer bias left by calibration',
         unit='mg',
         minimum=0.01,

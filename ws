@@ -157,6 +157,8 @@ build() {
   # shellcheck disable=SC1091
   source "$INSTALL/local_setup.bash"
   set -u
+  # numba looks only at the caller's file: a kernel that calls one changed elsewhere would run its old code.
+  python -m kalman_core.kernel_cache "$SRC"
 }
 
 prepare() {

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 from kalman_core.parameters import parameter
+from quad_control.arming import ARMED, NAMES, STOPPED
 from quad_control.samples import Setpoint
 
 # The arm switch is tried again this often (s) while the controller refuses.
@@ -49,7 +50,8 @@ class Pilot:
     def __init__(self, params: PilotParams) -> None:
         self.params = params
         self.height = 0.0
-        self.state = 'disarmed'
+        self._state = 'disarmed'
+        self._given_up = False
         self._switch = False
         self._changed = 0
         self._up = False
@@ -58,6 +60,27 @@ class Pilot:
         self.velocity = (0.0, 0.0, 0.0)
         self.yaw = 0.0
 
+    @property
+    def params(self) -> PilotParams:
+        """What the pilot is told to do; telling it anew makes it try again after a stop."""
+        return self._params
+
+    @params.setter
+    def params(self, params: PilotParams) -> None:
+        self._params = params
+        self._given_up = False
+
+    @property
+    def state(self) -> str:
+        """The arming state heard last."""
+        return self._state
+
+    @state.setter
+    def state(self, name: str) -> None:
+        self._state = name
+        # Stopped motors (a kill, a fault) are for a person to look at: the mission does not arm again.
+        self._given_up = self._given_up or name == NAMES[STOPPED]
+
     def step(self, stamp: int) -> Setpoint | None:
         """Return the sticks at `stamp` (ns), or None when the craft is out of the link's range."""
         p = self.params
@@ -65,7 +88,9 @@ class Pilot:
             return None
         if p.mission == 'manual':
             return Setpoint(stamp, p.roll, p.pitch, p.yaw_rate, p.throttle, p.arm, p.hold)
-        armed = self.state == 'armed'
+        if self._given_up:
+            return Setpoint(stamp, 0.0, 0.0, 0.0, 0.0, False)
+        armed = self.state == NAMES[ARMED]
         if not armed:
             self._up = False
             # Off and on again: a switch that stays on is not a wish to arm.

@@ -34,6 +34,16 @@ def test_the_mission_turns_the_switch_off_and_on_until_it_is_armed():
     assert all(pilot.step(round((60 + i) * 1e8)).arm for i in range(60))
 
 
+def test_after_a_stop_the_mission_arms_no_more_until_it_is_told_again():
+    pilot = Pilot(PilotParams(mission='hover'))
+    pilot.state = 'armed'
+    pilot.state = 'failsafe stopped'
+    pilot.state = 'disarmed'
+    assert not any(pilot.step(round(i * 1e8)).arm for i in range(60))
+    pilot.params = PilotParams(mission='hover', height=2.0)
+    assert any(pilot.step(round((60 + i) * 1e8)).arm for i in range(60))
+
+
 def test_the_mission_takes_off_and_stays_in_place_at_its_height_in_gusts():
     plant = QuadSimulator(CraftParams(gust=0.5), ImuErrorParams(), seed=3)
     pilot, controller = Pilot(PilotParams(mission='hover', height=2.0)), AttitudeController()

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes as processes: the loop flies, page and parameters obey the same checks, a kill stops."""
+
+import json
+import urllib.error
+import urllib.request
+from contextlib import ExitStack
+
+import pytest
+
+from node_core.testing import Process, probe
+
+TOKEN = 'a-token-of-the-test-0123456789'
+
+
+@pytest.fixture(scope='module')
+def flight():
+    """Yield (probe, processes, collected) of a craft that hovers in lock-step with its simulator."""
+    with ExitStack() as stack:
+        nodes = {
+            'attitude_filter': {'lockstep': True},
+            'attitude_controller': {'lockstep': True},
+            'pilot': {'mission': 'hover', 'rate': 200.0},
+            'esc_driver': {'bus': 'fake', 'watchdog': 1.0},
+            'web_tuner': {'port': 0, 'token': TOKEN},
+        }
+        processes = {
+            name: stack.enter_context(Process.node('quad_control', name, params=params))
+            for name, params in nodes.items()
+        }
+        watcher = stack.enter_context(probe())
+        heard = {
+            'events': watcher.collect('std_msgs/msg/String', 'controller/events'),
+            'truth': watcher.collect('nav_msgs/msg/Odometry', 'truth/odometry'),
+            'pulses': watcher.collect('sensor_msgs/msg/JointState', 'esc/pulses'),
+            'commands': watcher.collect('sensor_msgs/msg/JointState', 'motors/command'),
+        }
+        for topic in ('imu/data', 'motors/command', 'setpoint', 'esc/pulses'):
+            watcher.wait_for_publisher(topic)
+        watcher.until(lambda: 'page: ' in processes['web_tuner'].output, 'the page')
+        processes['quad_simulator'] = stack.enter_context(
+            Process.node('quad_control', 'quad_simulator', params={'pace': 'lockstep', 'seed': 3})
+        )
+        watcher.until(lambda: heard['truth'] and height(heard) > 1.0, 'take-off')
+        yield watcher, processes, heard
+
+
+def height(heard):
+    return heard['truth'][-1].pose.pose.position.z
+
+
+def url(processes):
+    return processes['web_tuner'].output.split('page: ')[1].split('#')[0]
+
+
+def ask(processes, path, body=None, token=TOKEN, origin=None):
+    headers = {'Authorization': f'Bearer {token}', 'Content-Type': 'application/json'}
+    if origin:
+        headers['Origin'] = origin
+    data = None if body is None else json.dumps(body).encode()
+    request = urllib.request.Request(url(processes) + path, data=data, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=60) as response:
+            return response.status, json.loads(response.read())
+    except urllib.error.HTTPError as error:
+        return error.code, json.loads(error.read())
+
+
+def value(state, name):
+    return next(g['value'] for g in state['gains'] if g['name'] == name)
+
+
+def said(heard, start):
+    return any(m.data.startswith(start) for m in heard['events'])
+
+
+def test_the_craft_hovers_level_through_the_processes(flight):
+    watcher, _, heard = flight
+    first = heard['truth'][-1].header.stamp.sec
+    watcher.until(lambda: heard['truth'][-1].header.stamp.sec >= first + 5, 'five seconds of flight')
+    recent = heard['truth'][-400:]
+    assert all(0.5 < m.pose.pose.position.z < 6.0 for m in recent)
+    assert all(abs(m.pose.pose.orientation.x) < 0.1 for m in recent)
+
+
+def test_what_the_controller_commands_reaches_the_chip(flight):
+    watcher, _, heard = flight
+    assert list(heard['commands'][-1].name) == list(heard['pulses'][-1].name)
+    watcher.until(lambda: min(heard['pulses'][-1].position) > 1200.0, 'pulses of a hover')
+
+
+def test_page_and_parameters_change_the_same_gain_under_the_same_checks(flight):
+    watcher, processes, _ = flight
+    watcher.until(lambda: ask(processes, 'api/state')[0] == 200, 'the page')
+    status, state = ask(processes, 'api/gains', {'gains': {'roll_rate_p': 0.07}})
+    assert (status, value(state, 'roll_rate_p')) == (200, 0.07)
+    assert ask(processes, 'api/gains', {'gains': {'roll_rate_p': 70.0}})[0] == 422
+    assert ask(processes, 'api/gains', {'gains': {'roll_rate_p': 0.08}}, token='wrong')[0] == 401
+    assert (
+        ask(processes, 'api/gains', {'gains': {'roll_rate_p': 0.08}}, origin='http://evil.example')[0] == 403
+    )
+    assert not watcher.set_parameter('attitude_controller', 'roll_rate_p', 50.0).successful
+    assert watcher.set_parameter('attitude_controller', 'pitch_rate_p', 0.065).successful
+
+    def followed():
+        now = ask(processes, 'api/state')[1]
+        return value(now, 'pitch_rate_p') == 0.065 and value(now, 'roll_rate_p') == 0.07
+
+    watcher.until(followed, 'the page to follow the parameter')
+
+
+def test_gains_that_swing_are_reverted_and_the_parameter_follows(flight):
+    watcher, processes, heard = flight
+    watcher.until(lambda: said(heard, 'trial: kept'), 'the trial before to end')
+    before = value(ask(processes, 'api/state')[1], 'roll_rate_p')
+    assert watcher.set_parameter('attitude_controller', 'roll_rate_p', 0.9).successful
+    watcher.until(lambda: said(heard, 'trial: reverted'), 'the revert')
+    watcher.until(lambda: value(ask(processes, 'api/state')[1], 'roll_rate_p') == before, 'the parameter')
+
+
+def test_a_kill_stops_the_motors_and_the_mission_does_not_arm_again(flight):
+    watcher, processes, heard = flight
+    assert ask(processes, 'api/action', {'name': 'kill'})[0] == 200
+    watcher.until(lambda: max(heard['commands'][-1].position) <= 1000.0, 'stopped motors')
+    watcher.until(lambda: max(heard['pulses'][-1].position) <= 1000.0, 'stopped pulses')
+    events = len(heard['events'])
+    stamp = heard['truth'][-1].header.stamp.sec
+    watcher.until(lambda: heard['truth'][-1].header.stamp.sec > stamp + 3, 'three more seconds')
+    assert not any(m.data == 'arming: armed' for m in heard['events'][events:])
+
+
+def test_the_nodes_end_with_0(flight):
+    _, processes, _ = flight
+    assert {name: process.stop() for name, process in processes.items()} == dict.fromkeys(processes, 0)
+
+
+@pytest.mark.parametrize(
+    ('node', 'params', 'said'),
+    [
+        ('attitude_filter', {'filter': 'magic'}, "parameter 'filter' is 'magic'"),
+        ('attitude_controller', {'roll_rate_p': -1.0}, "parameter 'roll_rate_p' is -1"),
+        ('esc_driver', {'bus': 'usb'}, "parameter 'bus' is 'usb'"),
+        ('web_tuner', {'host': '0.0.0.0'}, "parameter 'token' is too short"),
+        ('quad_simulator', {'masss': 2.0}, "unknown parameter 'masss'"),
+    ],
+)
+def test_a_bad_parameter_is_one_line_and_exit_code_2(node, params, said):
+    with Process.node('quad_control', node, params=params) as process:
+        assert process.wait() == 2
+        assert said in process.output

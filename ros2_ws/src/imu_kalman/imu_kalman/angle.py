@@ -178,6 +178,62 @@ def _fill(state, par, gyr, acc, out):
             out[28 + 3 * i + j] = same * par[_ACC_VAR]
 
 
+def _pack(p: TwoStateParams) -> np.ndarray:
+    return np.array(
+        [
+            p.angle_noise,
+            p.bias_noise,
+            p.measurement_variance,
+            p.bias_sigma**2,
+            p.gyro_noise**2,
+            p.gimbal_limit,
+            p.max_gap,
+            p.variant == 'published',
+            p.start == 'zero',
+            p.accel_noise**2,
+            # White noise of one sample at a nominal 100 Hz bandwidth.
+            p.gyro_noise**2 * 100.0,
+        ]
+    )
+
+
+@njit(cache=True, nogil=True)
+def _run(state, par, sec, nanosec, gyr, acc, use_acc, use_gyr, orientation):
+    out = np.zeros(VALUES)
+    for i in range(gyr.shape[0]):
+        if use_gyr[i]:
+            angle_step(state, par, sec[i], nanosec[i], gyr[i], acc[i], use_acc[i], out)
+        orientation[i] = out[:4]
+
+
+def filter_angles(
+    stamp: np.ndarray, gyr: np.ndarray, acc: np.ndarray, params: TwoStateParams | None = None
+) -> np.ndarray:
+    """Return the attitude (n, 4), wxyz, bit for bit what the streaming estimator says.
+
+    `stamp` (n,) ns, increasing; `gyr` (n, 3) rad/s; `acc` (n, 3) m/s². Rows before the start are zero.
+    """
+    p = params if params is not None else TwoStateParams()
+    sec, nanosec = np.divmod(np.asarray(stamp, dtype=np.int64), NANOSECONDS)
+    force = np.sqrt((acc * acc).sum(axis=1))
+    # Written so that NaN fails them.
+    use_acc = (force >= p.min_force) & (force <= p.max_force)
+    use_gyr = (np.abs(gyr) <= p.max_rate).all(axis=1)
+    orientation = np.zeros((len(gyr), 4))
+    _run(
+        np.zeros(_STATE),
+        _pack(p),
+        sec.astype(float),
+        nanosec.astype(float),
+        gyr,
+        acc,
+        use_acc,
+        use_gyr,
+        orientation,
+    )
+    return orientation
+
+
 class AngleFilter:
     """Streaming estimator of roll, pitch and yaw; see the module's docstring."""
 
@@ -185,22 +241,7 @@ class AngleFilter:
         self.params = p = params if params is not None else TwoStateParams()
         self.tally = Tally()
         self.state = np.zeros(_STATE)
-        self._par = np.array(
-            [
-                p.angle_noise,
-                p.bias_noise,
-                p.measurement_variance,
-                p.bias_sigma**2,
-                p.gyro_noise**2,
-                p.gimbal_limit,
-                p.max_gap,
-                p.variant == 'published',
-                p.start == 'zero',
-                p.accel_noise**2,
-                # White noise of one sample at a nominal 100 Hz bandwidth.
-                p.gyro_noise**2 * 100.0,
-            ]
-        )
+        self._par = _pack(p)
         self._out = np.zeros(VALUES)
         self._buffer = EventTimeBuffer(self, ('imu/data_raw',), self.tally, int(p.lag_window * NANOSECONDS))
         self._settled = p.settled_output and p.lag_window > 0.0

@@ -179,17 +179,19 @@ def filter_batch(
     mag_stamp: np.ndarray | None = None,
     params: AttitudeParams | None = None,
     covariance: bool = True,
+    state: np.ndarray | None = None,
 ) -> AttitudeArrays:
     """Estimate attitude causally at every inertial sample, bit for bit as the streaming estimator does.
 
     `stamp` (n,) int ns; `gyr` (n, 3) rad/s; `acc` (n, 3) m/s² specific force; `mag` (m, 3) T, at `mag_stamp`
     (m,) or at the inertial stamps. Rows the streaming estimator rejects repeat the last estimate. Without
-    `covariance` the last two results have no rows. Raises ValueError for arrays of the wrong shape.
+    `covariance` the last two results have no rows. `state` (STATE,), zeros to begin with, is where filtering
+    starts from and holds where it ended. Raises ValueError for arrays of the wrong shape.
     """
     params = params if params is not None else AttitudeParams()
     data = prepare(params, stamp, gyr, acc, mag, mag_stamp)
     n = len(data.gyr)
     rows = n if covariance else 0
     out = AttitudeArrays(np.empty((n, 4)), np.full((rows, 6), np.nan), np.full((rows, 3), np.nan))
-    filter_arrays(np.zeros(STATE), pack(params), data, *out)
+    filter_arrays(np.zeros(STATE) if state is None else state, pack(params), data, *out)
     return out

@@ -47,6 +47,7 @@ from imu_kalman.attitude_layout import (
     REST_RATE,
     REST_SPAN,
     REST_TIME,
+    RESTS,
     RIGID,
     ROW,
     SPAN,
@@ -119,6 +120,7 @@ def rest_update(state, par, work, cov):
         state[REST_ACC + i] += weight * (state[ACC_SUM + i] * inverse - state[REST_ACC + i])
     if state[REST_TIME] < par[REST_SPAN]:
         return
+    state[RESTS] += 1.0
     hold_still(state, cov)
     h = work[VECTORS, ROW]
     for i in range(3):

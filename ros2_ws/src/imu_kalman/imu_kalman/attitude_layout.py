@@ -45,7 +45,8 @@ LAST_GYR, LAST_ACC = 68, 71  # last samples taken, for the check on wild jumps (
 JUMPS = 74  # samples held in a row
 MAG_WAIT = 75  # s since the last block with a field
 MAG_MEAN_NIS = 76
-COV = 77
+RESTS = 77  # blocks at rest since the start
+COV = 78
 STATE = COV + N * N
 
 # Parameter vector.

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imu_kalman.angle import AngleFilter
+from imu_kalman.angle import AngleFilter, filter_angles
 from imu_kalman.params import TwoStateParams
 from imu_kalman.samples import ImuSample, RollPitchYaw, SettledAttitude
 from imu_kalman.scenarios import ShipParams, rolling_ship
@@ -79,16 +79,22 @@ def test_a_long_gap_starts_roll_and_pitch_anew_and_says_so():
 
 
 def inclination_error(recording, **params):
-    estimator = AngleFilter(TwoStateParams(lag_window=0.0, **params))
-    ups = np.empty((len(recording.stamp), 3))
-    rows = zip(recording.stamp.tolist(), recording.gyr.tolist(), recording.acc.tolist())
-    for i, (stamp, gyr, acc) in enumerate(rows):
-        attitude, _ = estimator.on_imu(ImuSample(stamp, tuple(gyr), tuple(acc)))
-        w, x, y, z = attitude.orientation
-        ups[i] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    true = Rotation.from_quat(recording.orientation, scalar_first=True).inv().apply([0, 0, 1])
-    error = np.arccos(np.clip((ups * true).sum(axis=1), -1, 1))
+    quat = filter_angles(recording.stamp, recording.gyr, recording.acc, TwoStateParams(**params))
+    up, true = (
+        Rotation.from_quat(q, scalar_first=True).inv().apply([0, 0, 1]) for q in (quat, recording.orientation)
+    )
+    error = np.arccos(np.clip((up * true).sum(axis=1), -1, 1))
     return np.degrees(np.sqrt(np.mean(error[30 * 200 :] ** 2)))
+
+
+def test_arrays_and_stream_give_the_same_bits():
+    ship = rolling_ship(ShipParams(duration=5.0), seed=2)
+    estimator = AngleFilter()
+    streamed = []
+    for stamp, gyr, acc in zip(*(column.tolist() for column in ship[:3])):
+        attitude, _ = estimator.on_imu(ImuSample(stamp, tuple(gyr), tuple(acc)))
+        streamed.append(attitude.orientation)
+    np.testing.assert_array_equal(filter_angles(*ship[:3]), streamed)
 
 
 def test_on_the_ship_the_documented_setting_beats_the_constants_of_the_listing():

@@ -36,22 +36,20 @@ class LockStep:
         self._node = node
         self._timeout = timeout
         self._name = node.get_fully_qualified_name()
-        self._own: set[str] = set()
         self._followers: dict[str, tuple[str, ...]] = {}
         self._expected: dict[tuple[str, str], int] = {}
         self._acknowledged: dict[tuple[str, str], int] = {}
         self._between: dict[str, Any] = {}
         self._members: frozenset[str] = frozenset()
-        node.create_subscription(String, lockstep.TOPIC, self._on_progress, lockstep.QOS)
+        self._progress = node.create_subscription(String, lockstep.TOPIC, self._on_progress, lockstep.QOS)
 
     def members(self) -> frozenset[str]:
         """Return the full names of the nodes that take part."""
         infos = self._node.get_publishers_info_by_topic(lockstep.TOPIC)
         return frozenset(_full_name(i) for i in infos) - {self._name}
 
-    def begin(self, own_topics: set[str]) -> None:
-        """Find who follows what: call after the graph is matched; `own_topics` are the player's."""
-        self._own = own_topics
+    def look(self, own_topics: set[str]) -> None:
+        """Find who follows what by now; `own_topics` are the player's. Call again when the graph changes."""
         self._members = self.members()
         for topic in sorted(own_topics):
             self._follow(topic)
@@ -59,7 +57,7 @@ class LockStep:
             writers = {_full_name(i) for i in self._node.get_publishers_info_by_topic(topic)}
             if topic not in own_topics and topic != lockstep.TOPIC and writers & self._members:
                 self._follow(topic)
-                if self._followers[topic]:
+                if self._followers[topic] and topic not in self._between:
                     self._count_between(topic, types[0])
 
     def _follow(self, topic: str) -> None:
@@ -72,13 +70,26 @@ class LockStep:
         def count(_data: bytes) -> None:
             self.published(topic)
 
-        self._between[topic] = self._node.create_subscription(
-            message_class(type_name), topic, count, qos, raw=True
-        )
+        try:
+            cls = message_class(type_name)
+        except LookupError as error:
+            raise BagError(f"lock-step: topic '{topic}' between nodes cannot be followed: {error}") from error
+        self._between[topic] = self._node.create_subscription(cls, topic, count, qos, raw=True)
 
-    def matched(self) -> bool:
-        """Whether the subscriptions between nodes have their publishers."""
-        return all(s.get_publisher_count() for s in self._between.values())
+    def followers(self) -> dict[str, tuple[str, ...]]:
+        """Return the full names of the nodes that acknowledge, by topic."""
+        return dict(self._followers)
+
+    def unmatched(self) -> str:
+        """Return what the player listens to but has no publisher for, '' when nothing."""
+        progress = self._progress.get_publisher_count() >= len(self._members)
+        waiting = [t for t, s in self._between.items() if not s.get_publisher_count()]
+        return ', '.join(waiting if progress else [lockstep.TOPIC, *waiting])
+
+    def begin(self) -> None:
+        """Count from now on: what came before the first message has nothing to do with it."""
+        self._acknowledged.clear()
+        self._expected.clear()
 
     def published(self, topic: str) -> None:
         """Expect one more acknowledgement from every node that follows `topic`."""

@@ -56,6 +56,8 @@ class Player(Node):
         self._pace = Pace(options.rate)
         self._clock_time: int | None = None
         self.played = 0
+        # Before the publishers: nodes that know these then know whom to tell of their progress.
+        self._lockstep = LockStep(self, options.step_timeout) if options.lockstep else None
         try:
             self._publishers_by_topic = {
                 name: self.create_publisher(
@@ -70,7 +72,6 @@ class Player(Node):
         self._clock_publisher = (
             self.create_publisher(Clock, '/clock', 10) if options.clock is not None else None
         )
-        self._lockstep = LockStep(self, options.step_timeout) if options.lockstep else None
         self.create_service(Trigger, '~/pause', self._service(self._pause, 'paused'))
         self.create_service(Trigger, '~/resume', self._service(self._resume, 'playing'))
         self.create_service(Trigger, '~/step', self._service(self._step, 'one message'))
@@ -104,6 +105,8 @@ class Player(Node):
         deadline = time.monotonic() + self._options.wait_timeout
         calm_since, seen = time.monotonic(), None
         while True:
+            if self._lockstep is not None:
+                self._lockstep.look({p.topic_name for p in self._publishers_by_topic.values()})
             missing = self._missing()
             now = time.monotonic()
             state = self._graph_state()
@@ -122,21 +125,19 @@ class Player(Node):
         if self._options.wait or self._lockstep is not None:
             self.wait_for_subscribers()
         if self._lockstep is not None:
-            self._lockstep.begin({p.topic_name for p in self._publishers_by_topic.values()})
-            while not self._lockstep.matched():
-                self.spin_for(_POLL)
+            self._lockstep.begin()
 
     def _graph_state(self) -> tuple[Any, ...]:
         publishers = self._publishers_by_topic.values()
         counts = tuple((p.get_subscription_count(), self.count_subscribers(p.topic_name)) for p in publishers)
-        return (*counts, self._lockstep.members() if self._lockstep else ())
+        return (*counts, self._lockstep.followers() if self._lockstep else None)
 
     def _missing(self) -> str:
         """Return what has still to be matched, '' when nothing is missing."""
         by_name = {p.topic_name: p for p in self._publishers_by_topic.values()}
         for name, publisher in by_name.items():
             if publisher.get_subscription_count() < self.count_subscribers(name):
-                return f"topic '{name}' is not matched yet"
+                return f"a subscriber of '{name}' is not matched yet (does its QoS fit?)"
         for wanted in self._options.wait_for:
             topic = by_name.get(wanted if wanted.startswith('/') else f'/{wanted}')
             if topic is not None:
@@ -149,8 +150,11 @@ class Player(Node):
                 return f"node '{wanted}' is not there"
         if not any(p.get_subscription_count() for p in by_name.values()):
             return 'nobody subscribes to ' + ', '.join(sorted(by_name))
-        if self._lockstep is not None and not self._lockstep.members():
-            return 'no node runs in lock-step (-p lockstep:=true)'
+        if self._lockstep is not None:
+            if not self._lockstep.members():
+                return 'no node runs in lock-step (-p lockstep:=true)'
+            if waiting := self._lockstep.unmatched():
+                return f'{waiting} has no publisher that fits yet'
         return ''
 
     def play(self, progress: Callable[[float], None]) -> None:

@@ -14,12 +14,12 @@ import numpy as np
 from ins_gps import channels as ch
 from ins_gps import layout as at
 from ins_gps.carrier import remember_carrier
+from ins_gps.configuration import config_array
 from ins_gps.constraints import non_holonomic_update, zero_velocity_update
 from ins_gps.gnss_update import gnss_epoch
 from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, vector_update
 from ins_gps.params import FilterParams
 from ins_gps.prediction import (
-    CONFIG_PREDICTION,
     advance_covariance,
     covariance_of,
     hold_to,
@@ -49,7 +49,6 @@ from kalman_core.health import Tally
 from kalman_core.rotation import matrix_from_quat
 
 NANOSECONDS = 1_000_000_000
-_RATES = {'tight_doppler': 1.0, 'tight_tdcp': 2.0}
 # Gates of whole vectors at 1e-6: a loose fix has passed RAIM before.
 _GATE_POSITION = chi2_gate(3, 1e-6)
 _PRIOR_POSITION = 100.0  # m, so that the first epoch's codes decide
@@ -58,55 +57,9 @@ _PRIOR_DRIFT = 1_000.0  # m/s: 3 ppm of an oscillator
 _PRIOR_INTERSYSTEM = 100.0  # m
 # Time constant (s) of the averages for alignment.
 _LEVEL_TIME = 1.0
+# Velocities further apart (s) say nothing of the acceleration that the averaged force contains.
+_LEVEL_INTERVAL = 2.5
 _MAX_STEP = 10.0  # s: a longer silence of the IMU ends the solution
-
-
-def config_array(params: FilterParams) -> np.ndarray:
-    """Return the kernels' configuration: columns as declared in `prediction` and `channels`."""
-    full = params.states == 'full'
-    rates = _RATES.get(params.mode, 0.0)
-    if rates == 2.0 and not full:
-        rates = 3.0
-    x, y, z = params.lever_arm
-    values = [
-        params.gyro_noise**2,
-        params.accel_noise**2,
-        params.gyro_bias_walk**2,
-        params.accel_bias_walk**2,
-        params.clock_walk**2,
-        params.drift_walk**2,
-        params.covariance_step,
-        params.imu_gap,
-        params.gap_force,
-        params.gap_rate,
-        float(full),
-        float(full),
-        params.code_noise,
-        params.code_slow,
-        params.code_slow_alone,
-        params.code_multipath,
-        params.multipath_time,
-        params.carrier_noise,
-        params.carrier_walk,
-        params.doppler_noise,
-        x,
-        -y,
-        -z,
-        params.elevation_mask,
-        chi2_gate(1, params.gate_probability) if full else math.inf,  # the paper has no gates
-        rates,
-        float(params.elevation_weighting),
-        params.correction_age,
-        float(params.rate_correction),
-        float(full),
-        params.lost_time,
-        params.cn0_reference,
-        params.published_rate_noise,
-        params.carrier_interval,
-    ]
-    assert len(values) == ch.CONFIG_SIZE
-    assert values[CONFIG_PREDICTION] == params.code_noise
-    return np.array(values)
 
 
 class NavigationFilter:
@@ -279,20 +232,25 @@ class NavigationFilter:
             self._loose(sample.stamp, rows, since)
         else:
             self._tight(sample.stamp, rows)
-        self._align()
+        self._align(since)
         return self._fix_estimate(sample.stamp)
 
     @property
     def _prediction(self) -> np.ndarray:
         return self._coasting_config if self.coasting else self.config
 
-    def _align(self) -> None:
-        """End coasting once the attitude can be known."""
+    def _align(self, since: float) -> None:
+        """End coasting once the attitude can be known; `since` (s): the interval of velocities."""
         if not self.coasting:
             return
         P, p = self.covariance, self.params
         sigma = math.sqrt(max(P[at.VEL, at.VEL] + P[at.VEL + 1, at.VEL + 1], 0.0))
-        attitude = start_attitude(self.state, p, self.nav[3:6], sigma)
+        before = self.state[at.BEFORE_VELOCITY : at.BEFORE_VELOCITY + 3]
+        acceleration = np.zeros(3)
+        if 0.0 < since < _LEVEL_INTERVAL and before.any():
+            acceleration = (self.nav[3:6] - before) / since
+        before[:] = self.nav[3:6]
+        attitude = start_attitude(self.state, p, self.nav[3:6], sigma, acceleration)
         if attitude is None:
             return
         self.nav[6:10] = attitude[0]
@@ -418,7 +376,7 @@ class NavigationFilter:
         s[at.FIX_SEC] = sec
         if not self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'fix'):
             s[at.LOST] += since
-        self._align()
+        self._align(since)
         return self._fix_estimate(sample.stamp)
 
     def velocity(self, sample: VelocitySample) -> None:
@@ -432,7 +390,7 @@ class NavigationFilter:
             hold_still(s)
         hold_to(s, self.channels, self._prediction, sec, nsec)
         self._use_velocity(sample.stamp, sample.velocity, sample.covariance, 'velocity')
-        self._align()
+        self._align(0.0)
 
     def _gps_only(self, stamp: int, rows: np.ndarray, since: float) -> FixEstimate | None:
         s = self.state

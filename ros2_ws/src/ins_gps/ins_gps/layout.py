@@ -30,6 +30,7 @@ ORIGIN, HAVE_ORIGIN = 51, 54
 IMU_SEC, IMU_NSEC = 55, 56
 STILL, ZERO_USED, CONSTRAINED = 57, 58, 59  # s: still since; last update of either kind
 FIX_SEC = 60
+BEFORE_VELOCITY = 61  # velocity of the epoch before, while coasting
 HEAD = 64
 
 # One channel.

@@ -93,9 +93,10 @@ def error_dynamics(nav, force_n, mat_nb, F):
     wx, wy, wz = rates[0] + ix, rates[1] + iy, rates[2] + iz
     for k in range(3):
         F[POS + k, VEL + k] = 1.0
-    F[POS, POS + 1], F[POS, POS + 2] = ez, -ey
-    F[POS + 1, POS], F[POS + 1, POS + 2] = -ez, ex
-    F[POS + 2, POS], F[POS + 2, POS + 1] = ey, -ex
+    # Position errors are those of latitude, longitude and height, scaled to metres.
+    F[POS, POS], F[POS, POS + 2] = -nav[5] / rm, nav[3] / rm
+    F[POS + 1, POS] = nav[4] * tan / rm
+    F[POS + 1, POS + 1], F[POS + 1, POS + 2] = -nav[5] / rn - nav[3] * tan / rm, nav[4] / rn
     F[VEL, VEL + 1], F[VEL, VEL + 2] = wz, -wy
     F[VEL + 1, VEL], F[VEL + 1, VEL + 2] = -wz, wx
     F[VEL + 2, VEL], F[VEL + 2, VEL + 1] = wy, -wx

@@ -53,23 +53,45 @@ def hold_still(state) -> None:
     state[at.HAVE_IMU] = 1.0
 
 
+def _level(force: np.ndarray, level_force: np.ndarray) -> tuple[float, float]:
+    """Return roll and pitch (rad) that turn `force` (3,) in the body into `level_force` (3,) at yaw zero."""
+    a, b, c = level_force
+    reach = math.hypot(a, c)
+    ratio = min(1.0, max(-1.0, force[0] / reach)) if reach > 0.0 else 0.0
+    # a cos(pitch) − c sin(pitch) = force_x, the branch in which the craft is upright.
+    pitch = min(
+        (math.remainder(s * math.acos(ratio) - math.atan2(c, a), 2.0 * math.pi) for s in (1.0, -1.0)), key=abs
+    )
+    below = a * math.sin(pitch) + c * math.cos(pitch)
+    roll = math.remainder(math.atan2(force[1], force[2]) - math.atan2(b, below), 2.0 * math.pi)
+    return roll, pitch
+
+
 def start_attitude(
-    state, params: FilterParams, velocity, velocity_sigma: float
+    state, params: FilterParams, velocity, velocity_sigma: float, acceleration=(0.0, 0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return q_nb (4,) and σ (3,) rad, or None while the attitude cannot be known."""
+    """Return q_nb (4,) and σ (3,) rad, or None while the attitude cannot be known.
+
+    acceleration: (3,) m/s², NED, as far as it is known: what is left of the specific force is gravity.
+    """
     roll, pitch, yaw = params.initial_attitude
     # base_link in ENU to forward-right-down in NED.
     pitch, yaw = -pitch, 0.5 * math.pi - yaw
     tilt, yaw_sigma = params.initial_tilt_sigma, params.initial_yaw_sigma
-    if params.alignment != 'given':
-        if state[at.ALIGN_COUNT] < 2.0:
-            return None
-        fx, fy, fz = state[at.ALIGN_FORCE : at.ALIGN_FORCE + 3]
-        roll, pitch = math.atan2(-fy, -fz), math.atan2(fx, math.hypot(fy, fz))
+    if params.alignment == 'given':
+        return quat_from_euler(roll, pitch, yaw), np.array([tilt, tilt, yaw_sigma])
+    if state[at.ALIGN_COUNT] < 2.0:
+        return None
     if params.alignment == 'velocity':
         speed = math.hypot(velocity[0], velocity[1])
         if speed < params.alignment_speed or velocity_sigma > _COURSE_QUALITY * speed:
             return None
         yaw = math.atan2(velocity[1], velocity[0])
         yaw_sigma = math.hypot(yaw_sigma, velocity_sigma / speed)
+    north, east, down = acceleration
+    ahead = math.cos(yaw) * north + math.sin(yaw) * east
+    right = math.cos(yaw) * east - math.sin(yaw) * north
+    here = gravity(state[at.NAVIGATION], state[at.NAVIGATION + 2])
+    force = state[at.ALIGN_FORCE : at.ALIGN_FORCE + 3]
+    roll, pitch = _level(force, np.array([ahead, right, down - here]))
     return quat_from_euler(roll, pitch, yaw), np.array([tilt, tilt, yaw_sigma])

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All rows of the navigation package, under the settings of the scenario descriptions."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bag_tools.bench import Options, Row
+from ins_gps.doctor import check_time, time_offset
+from ins_gps.evaluation import (
+    PRINTED,
+    SETTLED,
+    SYSTEMS,
+    ablation,
+    evaluate,
+    filter_params,
+    paper_systems,
+)
+from ins_gps.simulation import DGPS, Fault, Outage, Scenario
+from ins_gps.simulation_gnss import simulate
+from kalman_core.consistency import chi2_band
+
+sys.path.insert(0, str(Path(__file__).parent))
+import recorded
+import speed
+
+_PACKAGE = 'ins_gps'
+_TRAJECTORIES = ('constant', 's_turns')
+
+
+def _row(name: str, value: float, unit: str, bar=None, better='lower', reference=None, seeds=None) -> Row:
+    return Row(_PACKAGE, name, float(value), unit, bar, better, reference or {}, seeds)
+
+
+def _duration(options: Options) -> float:
+    return 150.0 if options.quick else 500.0
+
+
+def _seeds(options: Options, default: int) -> int:
+    return options.seeds or (2 if options.quick else default)
+
+
+def _paper(options: Options) -> Iterable[Row]:
+    seeds = _seeds(options, 30)
+    means = {name: [] for name in SYSTEMS}
+    ordered = 0
+    for seed in range(seeds):
+        result = paper_systems(seed, _duration(options))
+        now = [float(result[name].position.mean()) for name in SYSTEMS]
+        ordered += now == sorted(now, reverse=True)
+        for name, value in zip(SYSTEMS, now, strict=True):
+            means[name].append(value)
+        if seed == 0:
+            ends = {name: result[name].position[-1] for name in SYSTEMS}
+    for name in SYSTEMS:
+        printed = {} if name == 'ins' else {'printed in the paper': PRINTED[name]}
+        yield _row(
+            f'paper table: {name}, mean error', np.mean(means[name]), 'm', reference=printed, seeds=seeds
+        )
+    yield _row(
+        'paper table: ins, error at the end',
+        ends['ins'],
+        'm',
+        reference={'printed in the paper': PRINTED['ins']},
+    )
+    yield _row(
+        'paper table: seeds with INS > GPS > loose > tight > proposed',
+        100.0 * ordered / seeds,
+        '%',
+        100.0,
+        'higher',
+        seeds=seeds,
+    )
+
+
+def _ablation(options: Options) -> Iterable[Row]:
+    seeds = _seeds(options, 5)
+    runs = [ablation(seed, _duration(options)) for seed in range(seeds)]
+    for key in runs[0]:
+        sa, dgps, mode, states = key
+        name = f'ablation: SA {"on" if sa else "off"}, DGPS {"on" if dgps else "off"}, {mode}, {states}'
+        yield _row(name, np.mean([run[key] for run in runs]), 'm', seeds=seeds)
+
+
+def _accuracy(options: Options) -> Iterable[Row]:
+    seeds = _seeds(options, 50)
+    for white, bar in ((True, 0.12), (False, 1.5)):
+        budget = replace(DGPS, white=white)
+        word = 'white' if white else 'correlated'
+        position, whole, velocity, fixes, position_nees, nees, instant = [], [], [], [], [], [], []
+        for seed in range(seeds):
+            scenario = Scenario(
+                trajectory=_TRAJECTORIES[seed % 2], budget=budget, duration=_duration(options)
+            )
+            run = simulate(scenario, seed)
+            result = evaluate(run, filter_params(budget), seed)
+            late = result.after(SETTLED)
+            position.append(result.position[late].mean())
+            whole.append(result.position.mean())
+            velocity.append(100.0 * result.velocity[late].mean())
+            position_nees.append(result.nees(slice(0, 3))[late].mean())
+            nees.append(result.nees()[late].mean())
+            if seed < 5:
+                fixes.append(evaluate(run, filter_params(budget, mode='gps'), seed).position.mean())
+                published = filter_params(
+                    budget,
+                    mode='tight_tdcp',
+                    states='published',
+                    gyro_noise=2e-4,
+                    accel_noise=0.02,
+                    clock_walk=31.0,
+                )
+                instant.append(evaluate(run, published, seed).position[late].mean())
+        reference = {
+            'memoryless fix': float(np.mean(fixes)),
+            '10 states, difference as rate': float(np.mean(instant)),
+        }
+        yield _row(
+            f'{word} DGPS budget: mean error after 60 s',
+            np.mean(position),
+            'm',
+            bar,
+            reference=reference,
+            seeds=seeds,
+        )
+        yield _row(f'{word} DGPS budget: mean error, start included', np.mean(whole), 'm', seeds=seeds)
+        yield _row(f'{word} DGPS budget: mean velocity error', np.mean(velocity), 'cm/s', 0.5, seeds=seeds)
+        for dof, values, what in ((3, position_nees, 'position'), (9, nees, 'all nine states')):
+            low, high = chi2_band(0.95, dof, seeds)
+            inside = float(low <= np.mean(values) <= high)
+            yield _row(
+                f'{word} budget: mean NEES of {what} in the 95 % band',
+                inside,
+                '',
+                1.0,
+                'higher',
+                {'mean NEES': float(np.mean(values)), 'low': low, 'high': high},
+                seeds,
+            )
+
+
+def _outages(options: Options) -> Iterable[Row]:
+    seeds = _seeds(options, 20)
+    budget = DGPS
+    for left, bar in ((3, 0.6), (2, 2.5), (1, None), (0, 4.0)):
+        end, back, within = [], [], []
+        for seed in range(seeds):
+            scenario = Scenario(
+                trajectory=_TRAJECTORIES[seed % 2], budget=budget, outages=(Outage(300.0, 360.0, left),)
+            )
+            result = evaluate(simulate(replace(scenario, duration=400.0), seed), filter_params(budget), seed)
+            k = int(np.searchsorted(result.times, 359.0))
+            end.append(result.position[k])
+            back.append(result.position[k + 10 :].mean())
+            within.append(100.0 * result.within())
+        yield _row(f'60 s with {left} satellites: mean error at the end', np.mean(end), 'm', bar, seeds=seeds)
+        yield _row(
+            f'60 s with {left} satellites: mean error from 10 s after', np.mean(back), 'm', 0.5, seeds=seeds
+        )
+        yield _row(
+            f'60 s with {left} satellites: within 3 sigma', np.mean(within), '%', 99.0, 'higher', seeds=seeds
+        )
+
+
+def _faults(options: Options) -> Iterable[Row]:
+    seeds = _seeds(options, 10)
+    cases = (
+        ('20 m jump', Fault('jump', 2, 120.0, 20.0)),
+        ('ramp 0.5 m/s to 20 m', Fault('ramp', 2, 120.0, 0.5, 160.0)),
+        ('ramp 2 m/s to 20 m', Fault('ramp', 2, 120.0, 2.0, 130.0)),
+        ('slip of one cycle', Fault('slip', 2, 120.0, 1.0)),
+    )
+    for white in (True, False):
+        budget = replace(DGPS, white=white)
+        for name, fault in cases:
+            effects, seen = [], 0
+            for seed in range(seeds):
+                scenario = Scenario(trajectory='s_turns', budget=budget, duration=200.0, imu_rate=50.0)
+                params = filter_params(budget)
+                clean = evaluate(simulate(scenario, seed), params, seed)
+                result = evaluate(simulate(replace(scenario, faults=(fault,)), seed), params, seed)
+                change = np.linalg.norm((result.errors - clean.errors)[:, :3], axis=1)
+                effects.append(change.max())
+                sensor = 'gnss/carrier' if fault.kind == 'slip' else 'gnss/code'
+                tally, before = (e.navigation.tally.sensor(sensor).rejected for e in (result, clean))
+                seen += sum(tally.values()) > sum(before.values())
+            word = 'white' if white else 'correlated'
+            yield _row(f'{name}, {word}: largest effect', max(effects), 'm', 0.3, seeds=seeds)
+            yield _row(f'{name}, {word}: detected', 100.0 * seen / seeds, '%', 100.0, 'higher', seeds=seeds)
+
+
+def _doctor(options: Options) -> Iterable[Row]:
+    seeds = _seeds(options, 10)
+    named = 0
+    for seed in range(seeds):
+        run = simulate(Scenario(trajectory='s_turns', duration=120.0, gnss_offset=1.0), seed)
+        stride = 100
+        stamps = run.stamps[::stride] + 1_000_000_000
+        velocity = run.truth[::stride, 3:6] + np.random.default_rng(seed).normal(0.0, 0.05, (len(stamps), 3))
+        findings = check_time(run.stamps[1:], run.rate, stamps, velocity)
+        offset, _ = time_offset(run.stamps[1:], run.rate, stamps, velocity)
+        named += abs(offset - 1.0) < 0.1 and any(f.level == 'error' and 'late' in f.text for f in findings)
+    yield _row('doctor: 1 s time offset named', 100.0 * named / seeds, '%', 100.0, 'higher', seeds=seeds)
+
+
+def _recordings(options: Options) -> Iterable[Row]:
+    root = recorded.data_folder()
+    if root is None:
+        return
+    exact = recorded.spirent(root)
+    yield _row('spirent_iono_none: code fix', 1e3 * exact['fix'], 'mm', 5.0)
+    yield _row('spirent_iono_none: carrier-difference velocity', 1e3 * exact['velocity'], 'mm/s', 1.0)
+    tight = recorded.spirent_tight(root, 0)
+    yield _row('spirent_iono_none: tight with made IMU, mean error', 1e3 * tight['position'], 'mm')
+    yield _row(
+        'spirent_iono_none: tight with made IMU, within 3 sigma', 100.0 * tight['within'], '%', 99.0, 'higher'
+    )
+    fixed = recorded.static(root)
+    ratio = fixed['doppler'] / fixed['carrier']
+    yield _row(
+        'matrtklib_static: carrier-difference velocity quieter than Doppler by', ratio, 'times', 5.0, 'higher'
+    )
+    yield _row(
+        'matrtklib_static: DGPS, tight filter, mean error',
+        fixed['dgps'],
+        'm',
+        0.3,
+        reference={'memoryless fix': fixed['fix']},
+    )
+    walk = recorded.walk(root)
+    yield _row('gnss_imu_walk_60s: horizontal', walk['horizontal'], 'm', 0.6)
+    yield _row(
+        'gnss_imu_walk_60s: 3-D mean',
+        walk['position'],
+        'm',
+        1.5,
+        reference={'corrected code alone': walk['code']},
+    )
+    yield _row('gnss_imu_walk_60s: carrier slips rejected', walk['slips'], '')
+    drive = recorded.drive(root)
+    yield _row('gnss_imu_drive: 60 s outages, mean end error', drive['end'], 'm')
+    yield _row(
+        'gnss_imu_drive: smoothing better by', drive['end'] / drive['smoothed'], 'times', 2.0, 'higher'
+    )
+
+
+def _speed(options: Options) -> Iterable[Row]:
+    figures = speed.measure_speed(60.0 if options.quick else 300.0)
+    yield _row(
+        'offline, 100 Hz IMU + 1 Hz GNSS, full states',
+        figures['times real time'],
+        'x real time',
+        300.0,
+        'higher',
+    )
+    yield _row(
+        'mechanisation faster than python-ins by', figures['pyins'] / figures['mechanisation'], 'times'
+    )
+    yield _row(
+        'whole filter faster than a filterpy-style dense 18-state filter by',
+        figures['filterpy'] / figures['own step'],
+        'times',
+    )
+
+
+def measure(options: Options) -> Iterable[Row]:
+    """Yield every row, the quick ones first."""
+    for part in (_speed, _recordings, _doctor, _faults, _outages, _accuracy, _ablation, _paper):
+        yield from part(options)

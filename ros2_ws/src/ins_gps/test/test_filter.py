@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ins_gps import layout as at
+from ins_gps.evaluation import (
+    START_SIGMAS,
+    SYSTEMS,
+    error_of,
+    evaluate,
+    filter_params,
+    paper_systems,
+)
+from ins_gps.filter import NavigationFilter
+from ins_gps.params import FilterParams
+from ins_gps.prediction import NAV_STATES, error_dynamics, inject
+from ins_gps.samples import GnssEpoch, ImuSample
+from ins_gps.simulation import DGPS, NOISELESS, Fault, Outage, Scenario
+from ins_gps.simulation_gnss import simulate
+from ins_gps.strapdown import increments, mechanise
+from kalman_core.consistency import chi2_band
+from kalman_core.rotation import matrix_from_quat, quat_from_euler
+
+SHORT = Scenario(trajectory='s_turns', duration=150.0, imu_rate=50.0)
+
+
+def test_error_dynamics_are_the_derivative_of_the_mechanisation():
+    nav = np.r_[0.7, 1.9, 300.0, 20.0, -35.0, 2.0, quat_from_euler(0.1, -0.2, 1.0)]
+    rate, force, dt = np.array([0.02, -0.03, 0.1]), np.array([0.5, 0.8, -9.7]), 1e-3
+    F = np.empty((NAV_STATES, NAV_STATES))
+    mat = matrix_from_quat(nav[6:10])
+    error_dynamics(nav, mat @ force, mat, F)
+
+    def advance(dx):
+        state = np.zeros(at.state_size(1))
+        state[at.NAVIGATION : at.NAVIGATION + 10] = nav
+        full = np.zeros(at.error_states(1))
+        full[:15] = dx
+        inject(state, 1, full)
+        inc = np.empty(6)
+        w, f = rate - state[at.GYR_BIAS : at.GYR_BIAS + 3], force - state[at.ACC_BIAS : at.ACC_BIAS + 3]
+        increments(w, f, w, f, dt, inc)
+        out = state[at.NAVIGATION : at.NAVIGATION + 10]
+        mechanise(out, inc, dt, np.empty(20))
+        return out
+
+    reference = advance(np.zeros(15))
+    for column in range(15):
+        step = np.zeros(15)
+        step[column] = 10.0 if column < 3 else 1e-3
+        size = step[column]
+        derivative = (error_of(reference, advance(step)) - error_of(reference, advance(-step))) / (2.0 * size)
+        start = np.zeros(9)
+        if column < 9:
+            start[column] = 1.0
+        np.testing.assert_allclose(
+            (derivative - start) / dt, F[:9, column], atol=3e-2 * np.abs(F[:9, column]).max() + 1e-8
+        )
+
+
+def test_noiseless_data_are_followed_to_millimetres():
+    scenario = replace(SHORT, budget=NOISELESS, imu=replace(SHORT.imu, gyro_bias=0.0, accel_bias=0.0))
+    params = filter_params(replace(NOISELESS, receiver=0.01), code_noise=0.01, carrier_noise=1e-3)
+    result = evaluate(simulate(scenario, 0), params, 0)
+    assert result.position[-1] < 0.02
+    assert result.velocity[-1] < 0.01
+
+
+@pytest.mark.parametrize('white', [True, False])
+def test_error_is_what_the_covariance_says(white):
+    budget = replace(DGPS, white=white)
+    scenario = replace(SHORT, budget=budget)
+    runs = 12
+    position, all_nine = [], []
+    for seed in range(runs):
+        result = evaluate(simulate(scenario, seed), filter_params(budget), seed)
+        late = result.after(60.0)
+        position.append(result.nees(slice(0, 3))[late].mean())
+        all_nine.append(result.nees()[late].mean())
+    # Epochs of one run are correlated: the band is that of one value a run, at 99.9 %.
+    low, high = chi2_band(0.999, dof=3, runs=runs)
+    assert low < np.mean(position) < high
+    low, high = chi2_band(0.999, dof=9, runs=runs)
+    assert low < np.mean(all_nine) < high
+
+
+def test_carrier_difference_beats_doppler_beats_code():
+    run = simulate(SHORT, 1)
+    mean = {
+        mode: evaluate(run, filter_params(DGPS, mode=mode), 1).position[60:].mean()
+        for mode in ('tight_code', 'tight_doppler', 'tight_tdcp')
+    }
+    assert mean['tight_tdcp'] < mean['tight_doppler'] < mean['tight_code']
+
+
+def test_the_papers_order_holds():
+    for seed in (100, 101):
+        mean = {name: e.position.mean() for name, e in paper_systems(seed).items()}
+        values = [mean[name] for name in SYSTEMS]
+        assert values == sorted(values, reverse=True)
+
+
+@pytest.mark.parametrize('left', [3, 2, 0])
+def test_an_outage_is_survived_within_three_sigma(left):
+    scenario = replace(SHORT, outages=(Outage(80.0, 110.0, left),))
+    result = evaluate(simulate(scenario, 5), filter_params(DGPS), 5)
+    assert result.within(3.5) == 1.0
+    assert result.position[-1] < 0.5
+
+
+@pytest.mark.parametrize('cycles', [1.0, -1.0, 2.0])
+def test_a_single_slip_is_rejected_and_leaves_no_trace(cycles):
+    clean = evaluate(simulate(SHORT, 6), filter_params(DGPS), 6)
+    slipped = replace(SHORT, faults=(Fault('slip', 4, 100.0, cycles),))
+    result = evaluate(simulate(slipped, 6), filter_params(DGPS), 6)
+    assert result.navigation.tally.sensor('gnss/carrier').rejected['cycle slip'] >= 1
+    assert np.abs(result.errors - clean.errors)[:, :3].max() < 0.05
+
+
+@pytest.mark.parametrize(('kind', 'size'), [('jump', 20.0), ('jump', -20.0), ('ramp', 1.0)])
+def test_a_faulty_satellite_does_little_harm(kind, size):
+    clean = evaluate(simulate(SHORT, 7), filter_params(DGPS), 7)
+    faulty = replace(SHORT, faults=(Fault(kind, 2, 90.0, size, 110.0),))
+    result = evaluate(simulate(faulty, 7), filter_params(DGPS), 7)
+    assert result.navigation.tally.sensor('gnss/code').rejected['innovation gate'] >= 10
+    assert np.linalg.norm((result.errors - clean.errors)[:, :3], axis=1).max() < 0.3
+
+
+def test_a_receiver_clock_jump_is_taken_out_and_named():
+    run = simulate(SHORT, 8)
+    epochs = list(run.epochs)
+    for k in range(100, len(epochs)):
+        rows = epochs[k].rows.copy()
+        rows[:, 3] += 299_792.458
+        rows[:, 4] += 299_792.458 / 0.19029367
+        epochs[k] = GnssEpoch(epochs[k].stamp, rows)
+    result = evaluate(replace(run, epochs=epochs), filter_params(DGPS), 8)
+    assert any('clock jumped' in reason for reason in result.navigation.tally.restarts)
+    assert result.position[-1] < 1.0
+
+
+def test_a_lever_arm_is_modelled_at_both_epochs():
+    lever = (2.0, -1.0, 0.5)  # forward-right-down
+    scenario = replace(SHORT, trajectory='flight', lever_arm=lever)
+    params = filter_params(DGPS, lever_arm=(2.0, 1.0, -0.5))
+    with_lever = evaluate(simulate(scenario, 9), params, 9)
+    assert with_lever.position[60:].mean() < 0.5
+    assert with_lever.navigation.tally.sensor('gnss/carrier').rejected['cycle slip'] == 0
+
+
+def test_it_starts_from_rest_and_aligns_by_the_course():
+    run = simulate(replace(SHORT, trajectory='flight', clock=replace(SHORT.clock, bias=-3e5)), 10)
+    navigation = NavigationFilter(FilterParams(channels=8, elevation_mask=0.0, code_multipath=0.5))
+    from ins_gps.batch import run_batch
+
+    history = run_batch(navigation, run.stamps[1:], run.rate, run.force, run.epochs)
+    assert navigation.running
+    index = np.searchsorted(run.stamps, history.stamps[-1])
+    error = error_of(history.nav[-1], run.truth[index])
+    assert np.linalg.norm(error[:3]) < 5.0
+    assert abs(error[8]) < math.radians(5.0)
+
+
+def test_a_false_position_recovers_and_says_so():
+    run = simulate(SHORT, 11)
+    navigation = NavigationFilter(filter_params(DGPS, lost_time=5.0))
+    nav = run.truth[0].copy()
+    nav[0] += 1e-3  # 6 km, believed to 1 m
+    navigation.initialise(int(run.stamps[0]), nav, START_SIGMAS, run.clock[0], (1.0, 0.1))
+    from ins_gps.batch import run_batch
+
+    history = run_batch(navigation, run.stamps[1:], run.rate, run.force, run.epochs)
+    index = np.searchsorted(run.stamps, history.stamps[-1])
+    assert np.linalg.norm(error_of(history.nav[-1], run.truth[index])[:3]) < 5.0
+    assert navigation.tally.restarts
+
+
+def test_bad_samples_are_counted_and_harmless():
+    run = simulate(replace(SHORT, duration=20.0), 12)
+    navigation = NavigationFilter(filter_params(DGPS))
+    navigation.initialise(int(run.stamps[0]), run.truth[0], START_SIGMAS)
+    stamps = run.stamps
+    navigation.imu(ImuSample(int(stamps[1]), np.full(3, np.nan), run.force[0]))
+    navigation.imu(ImuSample(int(stamps[2]), run.rate[1], run.force[1]))
+    navigation.imu(ImuSample(int(stamps[2]), run.rate[1], run.force[1]))
+    rows = run.epochs[1].rows.copy()
+    rows[0, 3] = np.inf
+    rows[1, 9] = np.nan
+    rows[2, 1] = 99.0
+    rows[3, 4] = -np.inf
+    navigation.gnss(GnssEpoch(int(stamps[3]), rows))
+    navigation.gnss(GnssEpoch(int(stamps[4]), np.empty((0, rows.shape[1]))))
+    navigation.gnss(GnssEpoch(int(stamps[4]), rows))
+    assert navigation.tally.sensor('imu').rejected == {'not finite': 1, 'not newer than the last': 1}
+    assert navigation.tally.sensor('gnss').rejected['unknown satellite or signal'] == 2
+    assert np.isfinite(navigation.state).all()

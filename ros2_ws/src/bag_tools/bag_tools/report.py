@@ -224,7 +224,7 @@ def panels_of(run: RunResult, colors: Mapping[str, str]) -> dict[str, list[Panel
             ]
             banded = ' with ±3σ' if errors[0].band is not None else ''
             panels.setdefault(role, []).append(Panel(label, first.unit, [*lines, truth]))
-            panels[role].append(Panel(f'{label}: error{banded}', first.unit, errors, zero=True))
+            panels[role].append(Panel(f'{first.error_labels[i]}{banded}', first.unit, errors, zero=True))
     return panels
 
 

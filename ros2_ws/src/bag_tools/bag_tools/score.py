@@ -69,7 +69,9 @@ class Comparison:
     """A score with what it was made from, for plots: `errors` (n, k) and `sigmas` (n, k) or None.
 
     `times` (n,) s since the first truth; `estimate` and `truth` (n, k) hold what the plots show, in the
-    unit of the statistics; `sigmas` (n, k) are the filter's own standard deviations.
+    unit of the statistics; `sigmas` (n, k) are the filter's own standard deviations. `labels` name the
+    columns of estimate and truth, `error_labels` those of errors and sigmas: an orientation shows as roll,
+    pitch and yaw, its error as a rotation vector.
     """
 
     score: Score
@@ -79,7 +81,8 @@ class Comparison:
     errors: Array
     labels: tuple[str, ...]
     unit: str
-    sigmas: Array | None = None
+    sigmas: Array | None
+    error_labels: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +149,8 @@ def _orientation(estimate: Series, truth: Array, keep: NDArray[np.bool_], frame:
         np.unwrap(euler_angles(reference), axis=0) * _DEGREES,
     )
     shown = (shown[0] - 360.0 * np.round((shown[0] - shown[1]) / 360.0), shown[1])
-    return components, errors, shown, errors * _DEGREES, ('roll', 'pitch', 'yaw'), '°', _DEGREES
+    axes = tuple(f'error about {frame} {axis}' for axis in 'xyz')
+    return components, errors, shown, errors * _DEGREES, (('roll', 'pitch', 'yaw'), axes), '°', _DEGREES
 
 
 def _plain(estimate: Series, truth: Array, keep: NDArray[np.bool_]) -> tuple:
@@ -155,7 +159,8 @@ def _plain(estimate: Series, truth: Array, keep: NDArray[np.bool_]) -> tuple:
     components = [_statistics(n, estimate.unit, errors[:, i]) for i, n in enumerate(estimate.labels)]
     if errors.shape[1] > 1:
         components.append(_statistics('norm', estimate.unit, np.linalg.norm(errors, axis=1)))
-    return components, errors, (values, reference), errors, estimate.labels, estimate.unit, 1.0
+    labels = (estimate.labels, tuple(f'{name}: error' for name in estimate.labels))
+    return components, errors, (values, reference), errors, labels, estimate.unit, 1.0
 
 
 def evaluate(
@@ -178,7 +183,7 @@ def evaluate(
         if estimate.kind == 'orientation'
         else _plain(estimate, reference, keep)
     )
-    components, errors, shown, shown_errors, labels, unit, factor = parts
+    components, errors, shown, shown_errors, (labels, error_labels), unit, factor = parts
     stamps = estimate.stamps[keep]
     mean_nees = dof = sigmas = None
     if estimate.covariance is not None:
@@ -195,7 +200,7 @@ def evaluate(
         delay=_delay(estimate, truth),
     )
     times = (stamps - origin).astype(np.float64) * 1e-9
-    return Comparison(score, times, shown[0], shown[1], shown_errors, labels, unit, sigmas)
+    return Comparison(score, times, shown[0], shown[1], shown_errors, labels, unit, sigmas, error_labels)
 
 
 def _as_orientation(series: Series) -> Series:

@@ -173,6 +173,20 @@ def walk(message: Any, path: str) -> Any:
     return value
 
 
+_WITH_COVARIANCE = re.compile(r'(.*\b(?:pose|twist))\.(?:pose|twist)\.(position|linear|angular)\.([xyz])')
+_BESIDE_COVARIANCE = re.compile(r'(angular_velocity|linear_acceleration|magnetic_field)\.([xyz])')
+
+
+def _variance_path(path: str) -> str:
+    """Return where the variance of the number at `path` stands in messages that carry one, else ''."""
+    if match := _WITH_COVARIANCE.fullmatch(path):
+        row = 'xyz'.index(match[3]) + (3 if match[2] == 'angular' else 0)
+        return f'{match[1]}.covariance[{7 * row}]'
+    if match := _BESIDE_COVARIANCE.fullmatch(path):
+        return f'{match[1]}_covariance[{4 * "xyz".index(match[2])}]'
+    return ''
+
+
 def _quantity_at(path: str, sample: Any) -> Quantity:
     """Return the quantity at a field path, judged by one message."""
     value = walk(sample, path)
@@ -184,7 +198,14 @@ def _quantity_at(path: str, sample: Any) -> Quantity:
             'orientation', 'orientation', ('w', 'x', 'y', 'z'), 'rad', _wxyz(lambda m: walk(m, path))
         )
     if isinstance(value, bool | int | float | np.number):
-        return Quantity(path, 'scalar', (path,), '', lambda m: (float(walk(m, path)),))
+        variance = _variance_path(path)
+        try:
+            walk(sample, variance)
+        except LookupError:
+            return Quantity(path, 'scalar', (path,), '', lambda m: (float(walk(m, path)),))
+        return Quantity(
+            path, 'scalar', (path,), '', lambda m: (float(walk(m, path)),), lambda m: walk(m, variance)
+        )
     if isinstance(value, np.ndarray):
         labels = tuple(f'[{i}]' for i in range(len(value)))
         return Quantity(path, 'vector', labels, '', lambda m: tuple(walk(m, path)))

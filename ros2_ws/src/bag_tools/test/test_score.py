@@ -231,6 +231,9 @@ def test_command_line_scores_fields_and_masks(odometry, capsys):
     fields = ['--field', 'twist.linear.x', '--truth-field', 'twist.twist.linear.x']
     assert tool.main([bag, '/speed', '/truth', *fields]) == 0
     assert '1' in capsys.readouterr().out.splitlines()[1].split()
+    fields = ['--field', 'twist.twist.linear.x', '--truth-field', 'twist.twist.linear.x']
+    assert tool.main([bag, '/odom', '/truth', *fields, '--json']) == 0
+    assert json.loads(capsys.readouterr().out)[0]['nees'] == pytest.approx(0.25)  # 0.5² over a variance of 1
     assert tool.main([bag, '/speed', '/truth', '--field', 'twist.size']) == 2
     assert "has no numbers at 'twist.size'" in capsys.readouterr().err
     assert tool.main([bag, '/moving', '/truth']) == 2

@@ -17,6 +17,8 @@ from quad_control.web_server import Gain, Refused
 
 # Every push to the page flies this many samples: real time at 20 pushes a second.
 STEPS = 10
+# A step of the setpoint lasts this many samples.
+LEAN = 400
 
 
 class FlyingBackend:
@@ -25,7 +27,7 @@ class FlyingBackend:
     actions = ACTIONS
 
     def __init__(self):
-        craft = benchmark_craft()
+        craft = benchmark_craft(drag_linear=0.8)
         self.plant = QuadSimulator(craft, benchmark_imu(), hovering=True, height=20.0)
         self.attitude, self.controller = AttitudeFilter(), AttitudeController()
         self.attitude.start(self.plant.x[6:10].copy())
@@ -33,6 +35,7 @@ class FlyingBackend:
         self.controller.start_flying((1.0, 0.0, 0.0, 0.0), self.hover)
         self.acted = []
         self.roll = 0.0
+        self.leaning = 0
         self.counter = 0
         self.kept = []
         self.events = []
@@ -55,6 +58,7 @@ class FlyingBackend:
         self.acted.append(name)
         if name == 'step_roll':
             self.roll = math.radians(10.0)
+            self.leaning = LEAN
         return f'did {name}'
 
     def state(self):
@@ -68,6 +72,9 @@ class FlyingBackend:
 
     def _step(self):
         c, plant = self.controller, self.plant
+        self.leaning -= 1
+        if self.leaning == 0:
+            self.roll = 0.0
         c.on_setpoint(Setpoint(plant.stamp, self.roll, 0.0, 0.0, self.hover, True))
         command = None
         for item in self.attitude.on_imu(plant.sense()) or []:

@@ -37,9 +37,9 @@ class VehicleSimulatorNode(WorkspaceNode):
         self._params = params = self.parameters[SimulatorParams]
         self._bus = self._open_bus(params)
         self._seed = params.seed
-        self._publishers: dict[str, Any] = {}
+        self._by_topic: dict[str, Any] = {}
         for topic, kind in DriveMessages.topics:
-            self._publishers[topic], _ = self.publish_to(kind, topic.lstrip('/'))
+            self._by_topic[topic], _ = self.publish_to(kind, topic.lstrip('/'))
         self._reference_publisher, self._reference = self.publish_to(JOINTS, 'truth/encoder')
         self._reference.name = ['encoder']
         self._start = self.get_clock().now().nanoseconds or time.time_ns()
@@ -75,7 +75,7 @@ class VehicleSimulatorNode(WorkspaceNode):
             if now - stamp > LONGEST_BURST:
                 self._skipped += 1
             else:
-                self._publishers[topic].publish(message)
+                self._by_topic[topic].publish(message)
                 self._sent += 1
                 if topic == '/truth/velocity':
                     self._publish_wheel(stamp)

@@ -30,7 +30,7 @@ class CalibrationError(ValueError):
 
 @dataclass(frozen=True)
 class Calibration:
-    """``true = matrix @ (raw - offset)``; spread: standard deviation of the norm over its mean."""
+    """``true = matrix @ (raw - offset)``; spread: robust deviation of the norm over its median."""
 
     matrix: np.ndarray
     offset: np.ndarray
@@ -84,7 +84,8 @@ def fit_ellipsoid(raw: np.ndarray, norm: float | None = None) -> Calibration:
             f'only {100 * share:.0f} % of the sphere is covered, expected {100 * _NEEDED:.0f} %{sides}: '
             'turn the sensor through all sides'
         )
-    spread = float(np.std(lengths) / np.mean(lengths))
+    # By the median: a spike is no reason to refuse.
+    spread = 1.4826 * float(np.median(np.abs(lengths / np.median(lengths) - 1.0)))
     if spread > _LARGEST_SPREAD:
         raise CalibrationError(
             f'the norm still spreads by {100 * spread:.1f} % after the fit, expected under '

@@ -8,10 +8,13 @@ rotation starts a new file and keeps the old ones.
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import fcntl
 import os
 import sqlite3
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,12 +57,16 @@ class EventLog:
         self._max_events = max_events
         self._keep_files = keep_files
         self._lock = threading.Lock()
-        self._connection = self._open()
-        self._inode = os.stat(self.path).st_ino
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise LogError(f'event log {self.path}: {error}') from error
+        with self._among_processes():
+            self._connection = self._open()
+            self._inode = os.stat(self.path).st_ino
 
     def _open(self) -> sqlite3.Connection:
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
             connection = sqlite3.connect(
                 self.path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False
             )
@@ -72,7 +79,7 @@ class EventLog:
 
     def append(self, stamp: int, kind: str, who: str, text: str) -> int:
         """Write one event and return its id once it is on the medium; raise LogError otherwise."""
-        with self._lock:
+        with self._lock, self._among_processes():
             try:
                 self._follow_rotation()
                 cursor = self._connection.execute(
@@ -84,6 +91,13 @@ class EventLog:
             if row >= self._max_events:
                 self._rotate()
             return row
+
+    @contextlib.contextmanager
+    def _among_processes(self) -> Iterator[None]:
+        """Hold off other processes: none may append to a file that is being rotated away."""
+        with self.path.with_name(f'{self.path.name}.lock').open('w') as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
 
     def _follow_rotation(self) -> None:
         """Reopen the file if another process has rotated it away."""

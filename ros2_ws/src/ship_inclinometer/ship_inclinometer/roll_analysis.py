@@ -109,6 +109,7 @@ class RollAnalysis:
         self._slow: deque[tuple[float, float]] = deque(maxlen=size)
         self._spectral = self._pitch_period = math.nan
         self._next_slow = self._next_spectrum = 0.0
+        self._previous_slow, self._previous_time = (0.0, 0.0), 0.0
 
     def reset_peaks(self, stamp: int) -> None:
         """Start the peak hold anew at `stamp` (ns)."""
@@ -218,6 +219,9 @@ class RollAnalysis:
     def _maximum(self, stamp: int, t: float, mean: float, count: int) -> RollCycle | None:
         """Return the maximum of the first `count` samples of this half cycle, None when it is no roll."""
         times, heels = np.array(self._half[:count]).T
+        if np.argmax(heels * self._side) in (0, count - 1):
+            # The half was cut by a mean that moved: its largest heel is no maximum.
+            return None
         when, value = vertex(times, heels * self._side)
         value *= self._side
         self._told = self._top[1]
@@ -232,10 +236,16 @@ class RollAnalysis:
         return cycle
 
     def _follow_spectrum(self, t: float, heel: float, pitch: float) -> None:
-        if t < self._next_slow:
-            return
-        self._next_slow = t + 1.0 / _SPECTRUM_RATE - 1e-6
-        self._slow.append((heel, pitch))
+        before, earlier = self._previous_slow, self._previous_time
+        self._previous_slow, self._previous_time = (heel, pitch), t
+        while self._next_slow <= t:
+            # On an even grid, whatever the rate of the input.
+            share = (self._next_slow - earlier) / (t - earlier) if t > earlier else 1.0
+            now = (heel, pitch)
+            self._slow.append(
+                (now[0] * share + before[0] * (1.0 - share), now[1] * share + before[1] * (1.0 - share))
+            )
+            self._next_slow += 1.0 / _SPECTRUM_RATE
         if t < self._next_spectrum or len(self._slow) < 60 * _SPECTRUM_RATE:
             return
         self._next_spectrum = t + _SPECTRUM_EVERY
@@ -276,7 +286,8 @@ class RollAnalysis:
         roll period while the roll grows.
         """
         mean = float(np.mean(self._midpoints)) if self._midpoints else self._mean
-        recent = list(self.cycles)[-6:]
+        # The first maxima of a start may be cut off.
+        recent = [c for c in list(self.cycles)[-6:] if c.period > 0.0]
         if len(recent) < 4 or not self._spectral > 0.0 or not self._pitch_period > 0.0:
             return False, False
         amplitudes = [abs(c.heel - mean) for c in recent]

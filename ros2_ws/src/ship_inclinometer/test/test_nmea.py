@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import pynmeagps
+import pytest
+
+from ship_inclinometer.marine import Picture
+from ship_inclinometer.nmea import all_sentences, checksum, heading, hrm, rot, sentence, xdr
+from ship_inclinometer.samples import INVALID, VALID, Angles
+
+NOW = 1_767_225_600_000_000_000
+
+
+def picture(roll=12.34, pitch=-2.0, yaw=90.0, rate=0.0, validity=VALID):
+    p = Picture(validity=validity, reason='', heading_valid=True)
+    angles = tuple(math.radians(a) for a in (roll, pitch, yaw))
+    p.take_angles(Angles(NOW, '', angles, (0.0, 0.0, 0.0), (0.0, 0.0, math.radians(rate)), validity))
+    rolling = {'roll_period': 11.62, 'amplitude_port': 0.1712, 'amplitude_starboard': 0.2284}
+    p.take_roll(NOW, {**rolling, 'peak_port': 0.2443, 'peak_starboard': 0.2653, 'peak_age': 3600.0})
+    return p
+
+
+def test_the_checksum_is_that_of_the_standards_example():
+    assert checksum('GPGLL,5057.970,N,00146.110,E,142451,A') == '27'
+
+
+def test_hrm_holds_heel_period_amplitudes_status_peaks_and_reset():
+    text = hrm('II', picture(), NOW)
+    assert text.startswith('$IIHRM,12.3,11.6,9.8,13.1,A,14.0,15.2,230000,31,12*')
+    assert text.endswith('\r\n')
+
+
+def test_an_invalid_or_stale_attitude_gives_status_v_and_no_numbers():
+    for text in (hrm('II', picture(validity=INVALID), NOW), hrm('II', picture(), NOW + 2 * 10**9)):
+        assert text.startswith('$IIHRM,,,,,V,')
+    assert rot('II', picture(validity=INVALID), NOW).startswith('$IIROT,,V*')
+    assert heading('II', picture(validity=INVALID), NOW) == [sentence('II', 'THS', '', 'V')]
+
+
+@pytest.mark.parametrize(
+    ('yaw', 'shown'), [(90.0, 0.0), (0.0, 90.0), (-90.0, 180.0), (180.0, 270.0), (90.04, 0.0)]
+)
+def test_heading_counts_clockwise_from_north(yaw, shown):
+    ths, hdt = heading('II', picture(yaw=yaw), NOW)
+    assert pynmeagps.NMEAReader.parse(ths.encode()).headt == pytest.approx(shown)
+    assert pynmeagps.NMEAReader.parse(hdt.encode()).headingT == pytest.approx(shown)
+
+
+def test_heel_is_positive_to_starboard_and_trim_bow_up():
+    assert xdr('II', picture(roll=5.0, pitch=-2.0), NOW).startswith('$IIXDR,A,5.00,D,ROLL,A,2.00,D,PITCH*')
+
+
+def test_a_turn_to_starboard_is_a_positive_rate():
+    message = pynmeagps.NMEAReader.parse(rot('II', picture(rate=-1.0), NOW).encode())
+    assert message.rot == pytest.approx(60.0)
+
+
+def test_every_sentence_has_a_valid_checksum_and_fits_82_characters():
+    for text in all_sentences('II', picture(roll=-44.9, pitch=-12.0, yaw=-179.0, rate=-3.0), NOW, True):
+        pynmeagps.NMEAReader.parse(text.encode(), validate=pynmeagps.VALCKSUM)
+        assert len(text) <= 82
+
+
+def test_no_negative_zero():
+    assert hrm('II', picture(roll=-0.01), NOW).startswith('$IIHRM,0.0,')

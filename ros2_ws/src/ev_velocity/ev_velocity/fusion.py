@@ -197,9 +197,10 @@ class FusionEstimator:
             return None
         prompt, settled = self._buffer.feed(port, sample)
         if port == FORCE:
-            if prompt is None and self._prompted < sample.stamp == self._buffer.newest:
-                # Another sensor's sample of the same stamp came first: the output is due all the same.
-                prompt = self._model.prompt
+            if prompt is None and sample.stamp > self._prompted:
+                # Another sensor's newer sample came first, as from a busy executor: the output is due.
+                last = self._model.prompt
+                prompt = last if last is not None and last.stamp == sample.stamp else None
             if prompt is not None:
                 self._prompted = sample.stamp
         if not settled or not self._settled_output:

@@ -140,6 +140,10 @@ class _Model:
         self.prompt = self._outputs(sample.stamp, t)
         return self.prompt
 
+    def prompt_of(self, stamp: int) -> list | None:
+        """Return the estimates of the accelerometer sample of `stamp` if it was the last one applied."""
+        return self.prompt if self.prompt and self.prompt[0].stamp == stamp else None
+
     def _outputs(self, stamp: int, t: float) -> list:
         m = self.state
         speed, variance, acceleration, acceleration_variance = m[mem.OUTPUT].tolist()
@@ -322,9 +326,9 @@ class VelocityEstimator:
     def _feed(self, port: int, sample: Any) -> list | None:
         prompt, settled = self._buffer.feed(port, sample)
         if port == FORCE:
-            if prompt is None and self._prompted < sample.stamp == self._buffer.newest:
-                # Another sensor's sample of the same stamp came first: the output is due all the same.
-                prompt = self._model.prompt
+            if prompt is None and sample.stamp > self._prompted:
+                # Another sensor's newer sample came first, as from a busy executor: the output is due.
+                prompt = self._model.prompt_of(sample.stamp)
             if prompt is not None:
                 self._prompted = sample.stamp
         if not settled or not self._settled_output:

@@ -47,8 +47,10 @@ _MAT_FLU_FRD = np.diag([1.0, -1.0, -1.0])
 _COVARIANCE_UNKNOWN = 0
 _COVARIANCE_KNOWN = 3
 _NO_FIX, _FIX = -1, 0
-# Gyro bias and noise are not in the 9 states that an estimate carries.
-_RATE_VARIANCE = 1e-4  # (rad/s)²
+# Truth carries no errors; a zero variance is not a covariance.
+_LEAST_VARIANCE = 1e-12
+# rad², sum of the attitude's variances beyond which the axes of the body are not known.
+_UNKNOWN_ATTITUDE = 3.0
 
 
 def decode_imu(message: Any) -> ImuSample:
@@ -204,7 +206,9 @@ def encode_odometry(estimate: NavigationEstimate, message: Any) -> None:
     J = np.hstack([mat_bn, mat_bn @ np.array([[0.0, -vz, vy], [vz, 0.0, -vx], [-vy, vx, 0.0]])])
     twist = np.zeros((6, 6))
     twist[:3, :3] = J @ P[3:9, 3:9] @ J.T
-    twist[3:, 3:] = np.eye(3) * _RATE_VARIANCE
+    if np.trace(P[6:9, 6:9]) > _UNKNOWN_ATTITUDE:
+        twist[:3, :3] += np.eye(3) * (vx * vx + vy * vy + vz * vz)
+    twist[3:, 3:] = np.eye(3) * max(estimate.rate_variance, _LEAST_VARIANCE)
     message.pose.covariance = pose.ravel()
     message.twist.covariance = twist.ravel()
 

@@ -19,6 +19,7 @@ from ins_gps.constraints import non_holonomic_update, zero_velocity_update
 from ins_gps.gnss_update import gnss_epoch
 from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, vector_update
 from ins_gps.params import FilterParams
+from ins_gps.plausibility import imu_fault, navigation_fault, plausible_rows, valid_satellites
 from ins_gps.prediction import (
     advance_covariance,
     covariance_of,
@@ -53,6 +54,7 @@ NANOSECONDS = 1_000_000_000
 _GATE_POSITION = chi2_gate(3, 1e-6)
 _PRIOR_POSITION = 100.0  # m, so that the first epoch's codes decide
 _PRIOR_CLOCK = 1_000.0  # m
+_UNKNOWN_RATE = 1.0  # rad/s, of a craft without IMU
 _PRIOR_DRIFT = 1_000.0  # m/s: 3 ppm of an oscillator
 _PRIOR_INTERSYSTEM = 100.0  # m
 # Time constant (s) of the averages for alignment.
@@ -148,13 +150,16 @@ class NavigationFilter:
         """Advance to the sample's stamp; None before there is a solution."""
         s = self.state
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
-        if not (np.isfinite(sample.rate).all() and np.isfinite(sample.force).all()):
-            self.tally.reject('imu', 'not finite')
+        fault = imu_fault(sample)
+        if fault:
+            self.tally.reject('imu', fault)
             return None
         if s[at.IMU_SEC] > 0.0 and sample.stamp <= _stamp(s[at.IMU_SEC], s[at.IMU_NSEC]):
             self.tally.reject('imu', 'not newer than the last')
             return None
         self._average(sample, sec, nsec)
+        if s[at.IMU_SEC] > 0.0:
+            s[at.IMU_STEP] = (sec - s[at.IMU_SEC]) + (nsec - s[at.IMU_NSEC]) * 1e-9
         s[at.IMU_SEC], s[at.IMU_NSEC] = sec, nsec
         self.tally.accept('imu', sample.stamp)
         if not self.running or self.params.mode == 'gps':
@@ -196,7 +201,7 @@ class NavigationFilter:
     def corrections(self, sample: Corrections) -> None:
         """Keep DGPS corrections until they are too old."""
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
-        good = _valid_satellites(sample.rows) & np.isfinite(sample.rows[:, 2:4]).all(axis=1)
+        good = valid_satellites(sample.rows) & np.isfinite(sample.rows[:, 2:4]).all(axis=1)
         ch.store_corrections(self.state, self.channels, sample.rows[good], sec, nsec)
         self.tally.accept('corrections', sample.stamp)
         for _ in range(int((~good).sum())):
@@ -205,11 +210,14 @@ class NavigationFilter:
     def gnss(self, sample: GnssEpoch) -> FixEstimate | None:
         """Use one epoch of observations; None before there is a solution."""
         rows = sample.rows
-        good = _valid_satellites(rows)
+        good = valid_satellites(rows)
         if not good.all():
             for _ in range(int((~good).sum())):
                 self.tally.reject('gnss', 'unknown satellite or signal')
             rows = rows[good]
+        rows, implausible = plausible_rows(rows)
+        if implausible:
+            self.tally.reject('gnss', 'implausible value')
         s = self.state
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         since = (sec - s[at.EPOCH_SEC]) + (nsec - s[at.EPOCH_NSEC]) * 1e-9 if s[at.HAVE_EPOCH] else 0.0
@@ -364,6 +372,10 @@ class NavigationFilter:
 
     def position(self, sample: PositionSample) -> FixEstimate | None:
         """Use a fix from elsewhere (loose coupling); it also starts the filter."""
+        fault = navigation_fault(sample.geodetic, sample.covariance)
+        if fault:
+            self.tally.reject('fix', fault)
+            return None
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         s = self.state
         if s[at.STAGE] == at.WAITING:
@@ -381,6 +393,10 @@ class NavigationFilter:
 
     def velocity(self, sample: VelocitySample) -> None:
         """Use a velocity from elsewhere."""
+        fault = navigation_fault(sample.velocity, sample.covariance)
+        if fault:
+            self.tally.reject('velocity', fault)
+            return
         s = self.state
         if s[at.STAGE] == at.WAITING:
             self.tally.reject('velocity', 'no position to start from yet')
@@ -454,7 +470,14 @@ class NavigationFilter:
         origin = s[at.ORIGIN : at.ORIGIN + 3].copy()
         enu = enu_from_ecef(ecef_from_geodetic(nav[0], nav[1], nav[2]), origin[0], origin[1], origin[2])
         rate, covariance = s[at.RATE : at.RATE + 3].copy(), self.covariance[:9, :9].copy()
-        return NavigationEstimate(stamp, nav[:3], origin, enu, nav[3:6], nav[6:10], rate, covariance)
+        P = self.covariance
+        bias = P[at.GYR, at.GYR] + P[at.GYR + 1, at.GYR + 1] + P[at.GYR + 2, at.GYR + 2]
+        # White noise of one sample: its density over the IMU's interval.
+        white = self.params.gyro_noise**2 / max(s[at.IMU_STEP], 1e-3)
+        variance = float(bias / 3.0 + white) if self.running else _UNKNOWN_RATE**2
+        return NavigationEstimate(
+            stamp, nav[:3], origin, enu, nav[3:6], nav[6:10], rate, covariance, variance
+        )
 
     def _fix_estimate(self, stamp: int) -> FixEstimate:
         P = self.covariance[:3, :3]
@@ -476,8 +499,3 @@ class NavigationFilter:
 
 def _stamp(sec: float, nsec: float) -> int:
     return int(sec) * NANOSECONDS + int(nsec)
-
-
-def _valid_satellites(rows: np.ndarray) -> np.ndarray:
-    system, satellite = rows[:, 0], rows[:, 1]
-    return ((system == 0.0) | (system == 1.0)) & (satellite >= 1.0) & (satellite < at.SLOTS_PER_SYSTEM)

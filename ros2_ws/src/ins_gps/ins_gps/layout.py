@@ -30,8 +30,9 @@ ORIGIN, HAVE_ORIGIN = 51, 54
 IMU_SEC, IMU_NSEC = 55, 56
 STILL, ZERO_USED, CONSTRAINED = 57, 58, 59  # s: still since; last update of either kind
 FIX_SEC = 60
+IMU_STEP = 64  # s, the last interval of the IMU
 BEFORE_VELOCITY = 61  # velocity of the epoch before, while coasting
-HEAD = 64
+HEAD = 65
 
 # One channel.
 C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_REJECTED = (

@@ -98,6 +98,7 @@ class NavigationEstimate(NamedTuple):
     q_nb: np.ndarray
     rate: np.ndarray
     covariance: np.ndarray
+    rate_variance: float = 0.0  # (rad/s)², of each component of `rate`
 
 
 class SettledEstimate(NavigationEstimate):

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ins_gps.dgps import DgpsBase
+from ins_gps.doctor import check_gnss, check_imu, check_time, time_offset
+from ins_gps.evaluation import error_of
+from ins_gps.fixtures import FIXTURES
+from ins_gps.observations import EpochBuilder
+from ins_gps.params import BaseParams, FilterParams
+from ins_gps.rinex import RinexError, read_navigation, read_observations
+from ins_gps.samples import GnssEpoch, PositionSample
+from ins_gps.simulation import STANDALONE, Scenario
+from ins_gps.simulation_gnss import simulate
+from ins_gps.smoother import LooseSmoother
+
+BASE = Scenario(trajectory='s_turns', duration=60.0, imu_rate=20.0)
+
+
+def _degrees(origin):
+    return (float(np.degrees(origin[0])), float(np.degrees(origin[1])), origin[2])
+
+
+def _base_epochs(seed):
+    scenario = replace(BASE, budget=replace(STANDALONE, white=False), duration=20.0, trajectory='constant')
+    run = simulate(scenario, seed)
+    return run, [GnssEpoch(e.stamp, e.rows) for e in run.epochs]
+
+
+def test_corrections_cancel_what_base_and_rover_share():
+    run, epochs = _base_epochs(1)
+    base = DgpsBase(BaseParams(position=_degrees(BASE.origin), elevation_mask=0.0, position_limit=500.0))
+    first = base.on_gnss(epochs[0])
+    rows = epochs[0].rows
+    site = BASE.origin
+    from ins_gps.orbit import range_and_rate
+    from kalman_core.earth import ecef_from_geodetic
+
+    left = []
+    for row, correction in zip(rows, first.rows[:, 2]):
+        distance = range_and_rate(row[9:15], ecef_from_geodetic(*site), np.zeros(3), np.empty(3))[0]
+        left.append(row[3] + 299_792_458.0 * row[15] + correction - distance)
+    assert np.ptp(left) < 1e-6
+    assert len(run.epochs) > 10
+
+
+def test_a_wrong_base_position_is_detected_and_nothing_is_sent():
+    _, epochs = _base_epochs(2)
+    lat, lon, height = _degrees(BASE.origin)
+    base = DgpsBase(BaseParams(position=(lat + 0.002, lon, height), elevation_mask=0.0))
+    # A rover that stands: every epoch as seen at the start.
+    still = [GnssEpoch(e.stamp, epochs[0].rows) for e in epochs]
+    answers = [base.on_gnss(e) for e in still]
+    assert answers[-1] is None
+    assert base.diagnostics()['level'] == 2
+    assert base.wrong_position == pytest.approx(222.0, rel=0.15)
+    assert base.tally.sensor('base').rejected['wrong base position'] > 5
+
+
+def test_doctor_names_a_time_offset():
+    run = simulate(replace(BASE, duration=120.0), 4)
+    stamps = run.stamps[::20] + 1_000_000_000
+    velocity = run.truth[::20, 3:6]
+    offset, correlation = time_offset(run.stamps[1:], run.rate, stamps, velocity)
+    assert offset == pytest.approx(1.0, abs=0.1)
+    assert correlation > 0.9
+    assert any(
+        f.level == 'error' and 'late' in f.text
+        for f in check_time(run.stamps[1:], run.rate, stamps, velocity)
+    )
+    fine = check_time(run.stamps[1:], run.rate, run.stamps[::20], velocity)
+    assert all(f.level == 'info' for f in fine)
+
+
+@pytest.mark.parametrize(
+    ('rate', 'force', 'words'),
+    [
+        (1.0, 1.0 / 9.81, 'looks like g'),
+        (57.3 * 300.0, 1.0, '°/s'),
+        (0.05, 0.05, 'increments'),
+        (1.0, -1.0, 'turned or its sign is inverted'),
+        (1.0, 3.0, 'expected about 9.81'),
+    ],
+)
+def test_doctor_names_wrong_units_and_axes(rate, force, words):
+    run = simulate(replace(BASE, duration=30.0), 5)
+    texts = [
+        f.text for f in check_imu(run.stamps[1:], rate * run.rate, force * run.force) if f.level == 'error'
+    ]
+    assert any(words in text for text in texts)
+    assert not [f for f in check_imu(run.stamps[1:], run.rate, run.force) if f.level != 'info']
+
+
+def test_doctor_names_missing_ephemerides_and_few_satellites():
+    run = simulate(replace(BASE, duration=10.0), 6)
+    epochs = [GnssEpoch(e.stamp, e.rows.copy()) for e in run.epochs]
+    for epoch in epochs:
+        epoch.rows[1:, 9:17] = np.nan
+    texts = ' '.join(f.text for f in check_gnss(epochs))
+    assert 'no ephemeris for G02' in texts
+    assert '5 are needed' in texts
+
+
+def test_smoothing_halves_the_error_of_an_outage():
+    run = simulate(replace(BASE, trajectory='flight', duration=100.0), 8)
+    rng = np.random.default_rng(8)
+    samples = []
+    for index in range(0, 2001, 20):
+        if 900 <= index < 1500:
+            continue
+        nav = run.truth[index]
+        noise = rng.normal(0.0, 0.5, 3) / np.array([6.4e6, 6.0e6, 1.0])
+        samples.append(PositionSample(int(run.stamps[index]), nav[:3] + noise, np.eye(3) * 0.25))
+    params = FilterParams(
+        mode='loose', channels=4, alignment='velocity', accel_bias_sigma=0.05, gyro_bias_sigma=1e-4
+    )
+    out = LooseSmoother(params).run(run.stamps[1:], run.rate, run.force, samples)
+    inside = (out.stamps > run.stamps[900]) & (out.stamps < run.stamps[1499])
+    index = np.searchsorted(run.stamps, out.stamps)
+    filtered = np.array([np.linalg.norm(error_of(n, run.truth[i])[:3]) for n, i in zip(out.filtered, index)])
+    smoothed = np.array([np.linalg.norm(error_of(n, run.truth[i])[:3]) for n, i in zip(out.smoothed, index)])
+    assert smoothed[inside].max() < 0.5 * filtered[inside].max()
+    sigma = np.sqrt(np.einsum('kii->ki', out.smoothed_covariance)[:, :3])
+    assert (np.sqrt(np.einsum('kii->ki', out.filtered_covariance)[:, :3]) >= sigma - 1e-6).all()
+
+
+def test_observation_files_of_both_versions_are_read(recordings):
+    old = read_observations(recordings / 'rtklib_geonet_2005' / '07590920.05o')
+    assert old.version == pytest.approx(2.1)
+    first = old.epochs[0].rows
+    assert first[0, :5].tolist() == [0.0, 3.0, 1.0, 24767686.375, 55923622.160]
+    new = read_observations(recordings / 'gnss_imu_walk_60s' / 'walk_60s.obs', (1, 5))
+    assert len(new.epochs) == 241
+    assert new.epochs[0].rows[0, 3] == 20576396.770
+
+
+def test_observations_agree_with_georinex(recordings):
+    import warnings
+
+    import georinex
+
+    path = recordings / 'rtklib_geonet_2005' / '07590920.05o'
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        data = georinex.load(path)
+    own = read_observations(path)
+    for epoch, when in zip(own.epochs[:20], data['time'].values[:20]):
+        there = data.sel(time=when)
+        for row in epoch.rows:
+            assert float(there['C1'].sel(sv=f'G{int(row[1]):02d}')) == row[3]
+            assert float(there['L1'].sel(sv=f'G{int(row[1]):02d}')) == row[4]
+
+
+def test_a_rinex_2_base_fixes_where_its_header_says(recordings):
+    folder = recordings / 'rtklib_geonet_2005'
+    navigation = read_navigation(folder / '07590920.05n')
+    own = read_observations(folder / '07590920.05o')
+    builder = EpochBuilder(navigation.ephemerides, navigation.klobuchar)
+    for raw in own.epochs[:5]:
+        builder.build(raw)
+    assert np.linalg.norm(builder.position - own.position) < 60.0
+
+
+def test_a_bad_file_is_named(tmp_path):
+    path = tmp_path / 'x.obs'
+    path.write_text('not rinex\n')
+    with pytest.raises(RinexError, match=r'x\.obs: expected a RINEX header'):
+        read_observations(path)
+    with pytest.raises(RinexError, match='no such file'):
+        read_navigation(tmp_path / 'missing.nav')
+
+
+def test_fixtures_are_small_and_deterministic(tmp_path):
+    from bag_tools.bag import BagReader
+
+    counts = []
+    for attempt in ('a', 'b'):
+        target = tmp_path / attempt
+        FIXTURES['gnss_faults'](target)
+        size = sum(p.stat().st_size for p in target.rglob('*') if p.is_file())
+        assert size < 2_000_000
+        with BagReader(target) as bag:
+            counts.append({name: topic.count for name, topic in bag.topics.items()})
+    assert counts[0] == counts[1]
+    assert counts[0]['/gnss/observations'] == 121

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+
+import pytest
+
+from ins_gps.params import BaseParams, FilterParams, RinexParams, SimulatorParams
+from kalman_core.parameters import ParameterError, build, default_yaml
+
+NODES = {
+    'ins_gps_estimator': FilterParams,
+    'dgps_base': BaseParams,
+    'uav_simulator': SimulatorParams,
+    'rinex_driver': RinexParams,
+}
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_the_default_yaml_is_up_to_date(node):
+    path = Path(__file__).parent.parent / 'config' / f'{node}.yaml'
+    assert path.read_text() == default_yaml(NODES[node], node)
+
+
+def test_bad_parameters_are_named():
+    with pytest.raises(ParameterError, match="'mode' is 'magic'"):
+        build(FilterParams, {'mode': 'magic'})
+    with pytest.raises(ParameterError, match='latitude 95'):
+        build(BaseParams, {'position': [95.0, 0.0, 0.0]})

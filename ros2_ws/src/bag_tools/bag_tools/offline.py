@@ -42,7 +42,7 @@ class SensorHealth:
 
 @dataclass(slots=True)
 class OfflineResult:
-    """What a run did: messages in and out by topic, what the estimator counted, wall time (s)."""
+    """What a run did: messages in and out by topic, what the estimator counted, wall time (s) without warm-up."""
 
     inputs: dict[str, int]
     outputs: dict[str, int]
@@ -151,7 +151,6 @@ def offline(
     """
     values = params if isinstance(params, ports.params) else build(ports.params, dict(params))
     names = dict(remaps or {})
-    started = time.perf_counter()
     with BagReader(bag_in) as reader:
         wanted = {rosargs.remapped(p.topic, names, ports.name): p for p in ports.inputs}
         inputs = _check_inputs(reader, ports, wanted)
@@ -162,6 +161,7 @@ def offline(
         if ports.warm is not None:
             ports.warm()
         driver = EstimatorDriver(ports, values)
+        started = time.perf_counter()
         with (
             BagWriter(bag_out, storage=storage, compression=compression, overwrite=overwrite) as writer,
             Progress(ports.name, reader.stop - reader.start) as progress,
@@ -213,7 +213,7 @@ def run(argv: list[str]) -> int:
     options = _parser().parse_args(own)
     arguments = rosargs.parse(ros)
     ports = find_ports(options.package, options.estimator)
-    values = rosargs.estimator_parameters(arguments, ports.name)
+    values = rosargs.estimator_parameters(arguments, arguments.node or ports.name)
     result = offline(
         ports,
         values,

@@ -17,11 +17,15 @@ _NODE_ONLY = ('use_sim_time', 'lockstep', 'queue_depth', 'start_type_description
 
 @dataclass(slots=True)
 class RosArguments:
-    """What followed ``--ros-args``: parameter overrides, parameter files and remaps, in order."""
+    """What followed ``--ros-args``: parameter overrides, parameter files and remaps, in order.
+
+    `node` is the name from ``-r __node:=name``: it chooses the sections of parameter files.
+    """
 
     parameters: list[tuple[str, Any]] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     remaps: dict[str, str] = field(default_factory=dict)
+    node: str = ''
 
 
 def split(argv: list[str]) -> tuple[list[str], list[str]]:
@@ -67,7 +71,12 @@ def parse(arguments: list[str]) -> RosArguments:
             result.files.append(Path(value))
         elif flag in ('-r', '--remap'):
             name, target = assignment(value, 'remap')
-            result.remaps[name] = target
+            if name == '__node':
+                result.node = target
+            elif name.startswith('__'):
+                raise BagError(f"remap '{value}' is not supported offline; expected topics or __node")
+            else:
+                result.remaps[name] = target
     return result
 
 

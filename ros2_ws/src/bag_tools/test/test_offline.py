@@ -150,6 +150,7 @@ def test_command_line_takes_ros_arguments(tmp_path, package, capsys):
         (['-p', 'leak=1'], "parameter 'leak=1' is malformed; expected name:=value"),
         (['-x', '1'], "'-x' is not supported"),
         (['-p'], "'-p' lacks its value"),
+        (['-r', '__ns:=/boat'], "'__ns:=/boat' is not supported offline"),
         (['--params-file', 'absent.yaml'], 'absent.yaml: cannot be read'),
     ],
 )
@@ -178,6 +179,14 @@ def test_unknown_packages_and_estimators_name_what_there_is(package):
 def test_parameters_of_the_node_base_mean_nothing_offline():
     _, ros = split(['a', '--ros-args', '-p', 'use_sim_time:=true', '-p', 'leak:=0.5', '--', 'b'])
     assert estimator_parameters(parse(ros), 'mix') == {'leak': 0.5}
+
+
+def test_a_renamed_node_reads_its_own_section(tmp_path):
+    path = tmp_path / 'p.yaml'
+    path.write_text('mix: {ros__parameters: {leak: 0.1}}\nport: {ros__parameters: {leak: 0.9}}\n')
+    arguments = parse(['-r', '__node:=port', '--params-file', str(path)])
+    assert estimator_parameters(arguments, arguments.node) == {'leak': 0.9}
+    assert arguments.remaps == {}
 
 
 def test_remaps_apply_to_relative_private_and_absolute_names():

@@ -42,7 +42,7 @@ class SensorHealth:
 
 @dataclass(slots=True)
 class OfflineResult:
-    """What a run did: messages in and out by topic, what the estimator counted, wall time (s) without warm-up."""
+    """What a run did: messages in and out by topic, what was counted, wall time (s) without warm-up."""
 
     inputs: dict[str, int]
     outputs: dict[str, int]

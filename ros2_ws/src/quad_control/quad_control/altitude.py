@@ -10,11 +10,12 @@ import numpy as np
 from quad_control.params import GRAVITY, ControllerParams
 
 # Flat state: height (m), climb rate (m/s), time of the last range (s), hover thrust (fraction), integral
-# (fraction), held height (m), whether held, time low on the ground since (s, < 0 none).
-_HEIGHT, _CLIMB, _RANGE_TIME, _HOVER, _INTEGRAL, _HELD, _HOLDING, _LOW_SINCE = range(8)
-SIZE = 8
-# Observer with a double pole at 3 rad/s: slower than the range finder's noise, faster than a drift.
-_POLE = 3.0
+# (fraction), held height (m), whether held, time low on the ground since (s, < 0 none), correction of the
+# vertical acceleration (m/s²).
+_HEIGHT, _CLIMB, _RANGE_TIME, _HOVER, _INTEGRAL, _HELD, _HOLDING, _LOW_SINCE, _TRIM = range(9)
+SIZE = 9
+# Observer with a triple pole at 2 rad/s: slower than the range finder's noise, faster than a drift.
+_POLE = 2.0
 # Range samples may be 0.1 s apart (10 Hz finder); longer than this (s) is silence.
 _FRESH = 0.5
 # Hover thrust is learnt with this time constant (s) while the vertical force is within these limits of g.
@@ -28,7 +29,7 @@ _INTEGRAL_LIMIT = 0.2
 
 
 class Altitude:
-    """Keeps height, climb rate and hover thrust in `state` (8,)."""
+    """Keeps height, climb rate and hover thrust in `state` (9,)."""
 
     def __init__(self, state: np.ndarray) -> None:
         self.state = state
@@ -59,7 +60,7 @@ class Altitude:
         up = 2.0 * (x * z - w * y) * force[0] + 2.0 * (y * z + w * x) * force[1]
         up += (1.0 - 2.0 * (x * x + y * y)) * force[2] - GRAVITY
         self.state[_HEIGHT] += dt * self.state[_CLIMB]
-        self.state[_CLIMB] += dt * up
+        self.state[_CLIMB] += dt * (up + self.state[_TRIM])
 
     def correct(self, height: float, time: float) -> None:
         """Take a measured height (m) at `time` (s)."""
@@ -69,8 +70,9 @@ class Altitude:
             s[_HEIGHT], s[_CLIMB] = height, 0.0
         else:
             error = height - s[_HEIGHT]
-            s[_HEIGHT] += min(2.0 * _POLE * gap, 1.0) * error
-            s[_CLIMB] += min(_POLE * _POLE * gap, 1.0) * error
+            s[_HEIGHT] += min(3.0 * _POLE * gap, 1.0) * error
+            s[_CLIMB] += min(3.0 * _POLE**2 * gap, 1.0) * error
+            s[_TRIM] += _POLE**3 * gap * error
         s[_RANGE_TIME] = time
 
     def learn_hover(self, thrust: float, force_up: float, dt: float) -> None:

@@ -170,6 +170,8 @@ def _gyro_bias(params: SimulatorParams, t: np.ndarray, rng: np.random.Generator)
 def _engine(params: SimulatorParams, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     lines = np.zeros((len(t), 3))
     for frequency in params.engine_frequencies:
+        if frequency == 0.0:
+            continue
         phase = rng.uniform(0.0, 2.0 * math.pi, 3)
         lines += params.engine_acceleration * np.sin(2.0 * math.pi * frequency * t[:, None] + phase)
     return lines

@@ -79,7 +79,7 @@ class SimulatorParams:
         0.0, "the paper's white noise on measured directions, per sample", unit='°', minimum=0.0, maximum=20.0
     )
     engine_frequencies: tuple[float, ...] = parameter(
-        (12.5, 37.0), 'engine vibration lines', unit='Hz', minimum=0.0, maximum=500.0
+        (12.5, 37.0), 'engine vibration lines, 0: none', unit='Hz', minimum=0.0, maximum=500.0
     )
     engine_acceleration: float = parameter(0.3, 'amplitude of each line and axis', unit='m/s²', minimum=0.0)
     magnetometer_rate: float = parameter(75.0, 'magnetometer rate', unit='Hz', minimum=1.0, maximum=1000.0)

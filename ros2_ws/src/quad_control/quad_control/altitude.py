@@ -115,3 +115,8 @@ class Altitude:
         if s[_LOW_SINCE] < 0.0:
             s[_LOW_SINCE] = time
         return time - s[_LOW_SINCE] > _LANDED_TIME
+
+
+def pressure_height(pressure: float, ground: float) -> float:
+    """Return the height (m) over where `ground` (Pa) was measured; ISA: 15 °C at the ground, 6.5 K/km."""
+    return 288.15 / 0.0065 * (1.0 - (pressure / ground) ** 0.190263)

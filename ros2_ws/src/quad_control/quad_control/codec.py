@@ -24,6 +24,7 @@ from quad_control.samples import (
     Event,
     ImuSample,
     MotorCommand,
+    PressureSample,
     RangeSample,
     RawAngle,
     Setpoint,
@@ -36,6 +37,7 @@ IMU = 'sensor_msgs/msg/Imu'
 JOINTS = 'sensor_msgs/msg/JointState'
 RANGE = 'sensor_msgs/msg/Range'
 BATTERY = 'sensor_msgs/msg/BatteryState'
+PRESSURE = 'sensor_msgs/msg/FluidPressure'
 STRING = 'std_msgs/msg/String'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -44,6 +46,8 @@ STICKS = ('roll', 'pitch', 'yaw_rate', 'throttle', 'arm', 'hold')
 AXES = ('roll', 'pitch', 'yaw', 'throttle')
 # Pulses outside this are no servo pulses (µs).
 _SHORTEST, _LONGEST = 500.0, 2500.0
+# Air pressure on Earth, from 9 km up to below sea level (Pa).
+_LEAST_PRESSURE, _MOST_PRESSURE = 3.0e4, 1.15e5
 # A frame for sensors and truth where none is given by a message.
 BODY, WORLD = 'base_link', 'map'
 
@@ -154,6 +158,14 @@ def encode_range(sample: RangeSample, message: Any) -> None:
     message.range = float(sample.height)
 
 
+def decode_pressure(message: Any) -> PressureSample:
+    """Decode a sensor_msgs/FluidPressure (Pa)."""
+    pressure = message.fluid_pressure
+    if not _LEAST_PRESSURE < pressure < _MOST_PRESSURE:
+        raise BadMessage('no air pressure')
+    return PressureSample(stamp_of(message), float(pressure))
+
+
 def decode_battery(message: Any) -> BatterySample:
     """Decode a sensor_msgs/BatteryState."""
     if not math.isfinite(message.voltage) or message.voltage <= 0.0:
@@ -246,6 +258,7 @@ CONTROLLER_PORTS = Ports(
         Input('imu/data', IMU, decode_attitude, 'on_attitude', timeout=0.1),
         Input('setpoint', JOINTS, decode_setpoint, 'on_setpoint', timeout=0.5),
         Input('range', RANGE, decode_range, 'on_range'),
+        Input('pressure', PRESSURE, decode_pressure, 'on_pressure'),
         Input('battery', BATTERY, decode_battery, 'on_battery'),
     ),
     outputs={

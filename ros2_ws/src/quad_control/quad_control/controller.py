@@ -10,7 +10,7 @@ import numpy as np
 
 from kalman_core.health import Tally
 from quad_control.altitude import SIZE as ALTITUDE_SIZE
-from quad_control.altitude import Altitude
+from quad_control.altitude import Altitude, pressure_height
 from quad_control.arming import ARMED, DESCENT, NAMES, Arming, Checks
 from quad_control.arming import SIZE as ARMING_SIZE
 from quad_control.attitude_error import attitude_error, heading, tilt_cosine
@@ -25,6 +25,7 @@ from quad_control.samples import (
     ControlReport,
     Event,
     MotorCommand,
+    PressureSample,
     RangeSample,
     Setpoint,
 )
@@ -32,7 +33,9 @@ from quad_control.trial import Trial
 from quad_control.tuning import RelayTest, cascade_for, plant_from_ultimate
 
 NANOSECONDS = 1_000_000_000
-ATTITUDE, SETPOINT, RANGE, BATTERY = 'imu/data', 'setpoint', 'range', 'battery'
+ATTITUDE, SETPOINT, RANGE, BATTERY, PRESSURE = 'imu/data', 'setpoint', 'range', 'battery', 'pressure'
+# A barometer is heard only when the range finder has been silent for this long (s).
+_RANGE_SILENT = 1.0
 # The first step has no predecessor: it takes the paper's period (s).
 _FIRST_STEP = 0.005
 # Attitudes in a row that are older than the newest before the clock is believed to have jumped back.
@@ -84,6 +87,8 @@ class AttitudeController:
         self._epoch: int | None = None
         self._setpoint = Setpoint(0, 0.0, 0.0, 0.0, 0.0, False)
         self._attitude: Attitude | None = None
+        self._range_time = -math.inf
+        self._ground_pressure: float | None = None
         self._older = 0
         self._unchanged: tuple[float, int] | None = None
         self._trial: Trial | None = None
@@ -122,8 +127,21 @@ class AttitudeController:
         if not math.isfinite(sample.height) or sample.height < 0.0:
             self.tally.reject(RANGE, 'not a height')
             return
-        self.altitude.correct(sample.height, self._newest_time())
+        self._range_time = self._newest_time()
+        self.altitude.correct(sample.height, self._range_time)
         self.tally.accept(RANGE, sample.stamp)
+
+    def on_pressure(self, sample: PressureSample) -> None:
+        """Take an air pressure (Pa): the height over where the motors last stood, if no range is heard."""
+        if not math.isfinite(sample.pressure) or sample.pressure <= 0.0:
+            self.tally.reject(PRESSURE, 'not a pressure')
+            return
+        if self._ground_pressure is None or not self.arming.flying:
+            self._ground_pressure = sample.pressure
+        time = self._newest_time()
+        if time - self._range_time > _RANGE_SILENT:
+            self.altitude.correct(pressure_height(sample.pressure, self._ground_pressure), time)
+        self.tally.accept(PRESSURE, sample.stamp)
 
     def on_battery(self, sample: BatterySample) -> None:
         """Take the battery voltage (V)."""

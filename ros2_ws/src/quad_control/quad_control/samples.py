@@ -67,6 +67,13 @@ class RangeSample(NamedTuple):
     height: float
 
 
+class PressureSample(NamedTuple):
+    """Air pressure (Pa)."""
+
+    stamp: int
+    pressure: float
+
+
 class BatterySample(NamedTuple):
     """Battery voltage (V) under load."""
 

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from quad_control.altitude import SIZE, Altitude
+from quad_control.altitude import SIZE, Altitude, pressure_height
 from quad_control.params import GRAVITY, ControllerParams
 
 DT = 0.005
@@ -65,3 +65,8 @@ def test_on_the_ground_means_low_and_at_rest_for_a_while():
     assert a.on_ground(1.6)
     a.state[0] = 2.0
     assert not a.on_ground(1.7)
+
+
+def test_pressure_height_is_the_standard_atmosphere():
+    # ISA tables: 1013.25 hPa at 0 m, 898.76 hPa at 1000 m.
+    assert pressure_height(89876.0, 101325.0) == pytest.approx(1000.0, abs=0.5)

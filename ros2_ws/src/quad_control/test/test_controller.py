@@ -14,7 +14,15 @@ from quad_control.craft import CraftParams, benchmark_craft, benchmark_imu, hove
 from quad_control.flight import constant_pilot, fly, step_result
 from quad_control.linear_plant import rate_plant
 from quad_control.params import GAINS, AttitudeParams, ControllerParams
-from quad_control.samples import Attitude, BatterySample, Event, MotorCommand, RangeSample, Setpoint
+from quad_control.samples import (
+    Attitude,
+    BatterySample,
+    Event,
+    MotorCommand,
+    PressureSample,
+    RangeSample,
+    Setpoint,
+)
 from quad_control.simulation import QuadSimulator
 
 STEP = 5_000_000
@@ -190,6 +198,24 @@ def test_autotune_in_flight_finds_the_rate_loop_and_proposes_gains_that_fly():
 
 
 # Bad input and silence ---------------------------------------------------------------------------------
+
+
+def test_a_barometer_is_heard_only_while_the_range_finder_is_silent():
+    controller = ready()
+    controller.on_pressure(PressureSample(1, 101325.0))
+    stamp = 10**9
+    for _ in range(120):
+        stamp += STEP
+        controller.on_attitude(attitude(stamp))
+    controller.on_pressure(PressureSample(2, 101325.0 - 12.0 * 3.0))
+    assert controller.altitude.state[0] == pytest.approx(3.0, abs=0.1)
+    controller.on_range(RangeSample(3, 0.5))
+    for _ in range(10):
+        stamp += STEP
+        controller.on_attitude(attitude(stamp))
+    before = controller.altitude.state[0]
+    controller.on_pressure(PressureSample(4, 101325.0 - 12.0 * 3.0))
+    assert controller.altitude.state[0] == before
 
 
 def test_the_battery_sags_and_the_duty_rises():

@@ -86,6 +86,8 @@ from imu_kalman.attitude_linear import start_covariance
 
 # A fault that lasts longer than this many samples is believed: no check may lock the filter out.
 _MAX_JUMPS = 2
+# Up to this square of half the angle of a step (rad²) the series below are exact to the last bit.
+_SERIES = 0.01
 
 
 @njit(cache=True, nogil=True)
@@ -146,9 +148,14 @@ def strapdown(state, dt, gx, gy, gz, ax, ay, az):
     wy = gy - state[BIAS + 1]
     wz = gz - state[BIAS + 2]
     w2 = wx * wx + wy * wy + wz * wz
-    half = 0.5 * dt * math.sqrt(w2)
-    c = math.cos(half)
-    s = 0.5 * dt * math.sin(half) / half if half > 1e-6 else 0.5 * dt
+    h = 0.25 * dt * dt * w2
+    if h < _SERIES:
+        c = 1.0 - h * (0.5 - h * (1.0 / 24.0 - h * (1.0 / 720.0 - h / 40320.0)))
+        s = 0.5 * dt * (1.0 - h * (1.0 / 6.0 - h * (1.0 / 120.0 - h * (1.0 / 5040.0 - h / 362880.0))))
+    else:
+        half = math.sqrt(h)
+        c = math.cos(half)
+        s = 0.5 * dt * math.sin(half) / half
     x = wx * s
     y = wy * s
     z = wz * s

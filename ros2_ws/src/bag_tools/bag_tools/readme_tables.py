@@ -6,10 +6,12 @@ In every README.md and every page under docs/ a block ::
     <!-- params:MODULE:CLASS -->
     <!-- ports:MODULE:NAME -->
     <!-- bench:PACKAGE -->
+    <!-- headline:FILE -->
 
 up to the next ``<!-- end -->`` is filled with a table: the parameters of a dataclass, the topics of a
 `node_core.ports.Ports` (by attribute of the module, or by key of its ESTIMATORS), the stored figures of a
-package. ``config/NODE.yaml`` is written for each node in `node_parameters`.
+package, or the few that FILE (a YAML list of {system, package, name} below docs/) chooses.
+``config/NODE.yaml`` is written for each node in `node_parameters`.
 ``./ws docs`` writes, ``./ws docs --check`` names the files that drift.
 """
 
@@ -19,19 +21,21 @@ import argparse
 import importlib
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from bag_tools.bench import RESULTS, BenchError, load_records, project_root
 from kalman_core.parameters import default_yaml, markdown_table
 from node_core.ports import Ports
 
 _BLOCK = re.compile(
-    r'^<!-- (?P<kind>params|ports|bench):(?P<what>\S+) -->\n(?P<body>.*?)^<!-- end -->$',
+    r'^<!-- (?P<kind>params|ports|bench|headline):(?P<what>\S+) -->\n(?P<body>.*?)^<!-- end -->$',
     re.DOTALL | re.MULTILINE,
 )
-_OPENING = re.compile(r'^<!-- (?:params|ports|bench):\S+ -->$', re.MULTILINE)
+_OPENING = re.compile(r'^<!-- (?:params|ports|bench|headline):\S+ -->$', re.MULTILINE)
 
 
 class TableError(Exception):
@@ -79,6 +83,31 @@ def bench_table(records: list[dict[str, Any]], package: str) -> str:
     return '\n'.join(rows)
 
 
+def headline_table(records: list[dict[str, Any]], choice: list[dict[str, str]]) -> str:
+    """Return the chosen figures as a table; raise TableError for one that is not stored."""
+    stored = {(entry['package'], entry['name']): entry for entry in records}
+    rows = ['| system | figure | here | in the same run | bar |', '|---|---|---|---|---|']
+    for wish in choice:
+        entry = stored.get((wish['package'], wish['name']))
+        if entry is None:
+            raise TableError(f"no stored figure '{wish['name']}' of {wish['package']}")
+        unit = f' {entry["unit"]}' if entry['unit'] else ''
+        peers = ', '.join(f'{peer} {_number(value)}' for peer, value in entry['reference'].items())
+        bar = '–' if entry['bar'] is None else f'{entry["bar"]:g}{unit}{"" if entry["pass"] else " (missed)"}'
+        cells = (wish['system'], entry['name'], f'{_number(entry["value"])}{unit}', peers or '–', bar)
+        rows.append('| ' + ' | '.join(cells) + ' |')
+    return '\n'.join(rows)
+
+
+def _headline(root: Path, what: str, records: list[dict[str, Any]]) -> str:
+    path = root / 'docs' / what
+    try:
+        choice = yaml.safe_load(path.read_text(encoding='utf-8'))
+        return headline_table(records, choice)
+    except (OSError, yaml.YAMLError, TypeError, KeyError) as error:
+        raise TableError(f'{path.name} is not a list of figures ({error})') from None
+
+
 def _attribute(what: str) -> tuple[Any, str]:
     module_name, _, name = what.partition(':')
     try:
@@ -103,8 +132,14 @@ def _ports(what: str) -> str:
     return ports_table(ports)
 
 
-def fill(text: str, records: list[dict[str, Any]]) -> str:
+def fill(text: str, records: list[dict[str, Any]], root: Path = Path()) -> str:
     """Return a document with every block filled; raise TableError naming the block that cannot be."""
+    makers: dict[str, Callable[[str], str]] = {
+        'params': _params,
+        'ports': _ports,
+        'bench': lambda what: bench_table(records, what),
+        'headline': lambda what: _headline(root, what, records),
+    }
 
     def filled(match: re.Match[str]) -> str:
         kind, what = match['kind'], match['what']
@@ -112,11 +147,7 @@ def fill(text: str, records: list[dict[str, Any]]) -> str:
         if _OPENING.search(match['body']):
             raise TableError(f'{opening} is not closed by <!-- end -->')
         try:
-            body = (
-                bench_table(records, what)
-                if kind == 'bench'
-                else {'params': _params, 'ports': _ports}[kind](what)
-            )
+            body = makers[kind](what)
         except TableError as error:
             raise TableError(f'{opening}: {error}') from None
         return f'{opening}\n{body}\n<!-- end -->'
@@ -155,7 +186,7 @@ def wanted(root: Path) -> Iterator[tuple[Path, str]]:
         raise TableError(str(error)) from None
     for path in documents(root):
         try:
-            yield path, fill(path.read_text(encoding='utf-8'), records)
+            yield path, fill(path.read_text(encoding='utf-8'), records, root)
         except TableError as error:
             raise TableError(f'{path.relative_to(root)}: {error}') from None
     for package in _packages_with_codec(root):

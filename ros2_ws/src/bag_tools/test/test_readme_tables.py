@@ -197,6 +197,25 @@ def source_tree():
 
 
 @pytest.mark.skipif(source_tree() is None, reason='not run from the source tree: there are no documents')
+def test_a_headline_shows_only_the_chosen_figures_and_names_a_missing_one():
+    records = [
+        {
+            'package': 'p',
+            'name': n,
+            'value': v,
+            'unit': 'm',
+            'bar': 2.0,
+            'pass': v <= 2,
+            'reference': {'peer': 9.0},
+        }
+        for n, v in (('a', 1.0), ('b', 3.0))
+    ]
+    table = readme_tables.headline_table(records, [{'system': 'S', 'package': 'p', 'name': 'b'}])
+    assert table.splitlines()[2:] == ['| S | b | 3 m | peer 9 | 2 m (missed) |']
+    with pytest.raises(readme_tables.TableError, match="'c' of p"):
+        readme_tables.headline_table(records, [{'system': 'S', 'package': 'p', 'name': 'c'}])
+
+
 def test_the_documents_of_this_workspace_are_current():
     root = source_tree()
     assert [str(path.relative_to(root)) for path, _ in readme_tables.drifted(root)] == [], 'run ./ws docs'

@@ -13,6 +13,7 @@ import numpy as np
 
 from ins_gps.dgps import DgpsBase
 from ins_gps.estimator import InsGpsEstimator, warm
+from ins_gps.odometry import ENU_NED, FLIP, odometry_values
 from ins_gps.params import BaseParams, FilterParams
 from ins_gps.samples import (
     CORRECTION_FIELDS,
@@ -38,19 +39,11 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 TWIST = 'geometry_msgs/msg/TwistWithCovarianceStamped'
 _FLOAT64 = 8  # sensor_msgs/PointField.FLOAT64
 _FIELD = 'sensor_msgs/msg/PointField'
-# q_enu_ned and q_frd_flu: half turns about (1, 1, 0)/√2 and about x.
-_ENU_NED = np.array([0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0])
-_FLIP = np.array([0.0, 1.0, 0.0, 0.0])
-# Rotates error vectors of NED into ENU, and of forward-right-down into forward-left-up.
+# Rotates error vectors of NED into ENU.
 _MAT_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-_MAT_FLU_FRD = np.diag([1.0, -1.0, -1.0])
 _COVARIANCE_UNKNOWN = 0
 _COVARIANCE_KNOWN = 3
 _NO_FIX, _FIX = -1, 0
-# Truth carries no errors; a zero variance is not a covariance.
-_LEAST_VARIANCE = 1e-12
-# rad², sum of the attitude's variances beyond which the axes of the body are not known.
-_UNKNOWN_ATTITUDE = 3.0
 
 
 def decode_imu(message: Any) -> ImuSample:
@@ -168,15 +161,10 @@ def encode_imu(sample: ImuSample, message: Any, frame: str = 'base_link') -> Non
     message.orientation_covariance[0] = -1.0  # REP-145: no orientation
 
 
-def body_quaternion(q_nb: np.ndarray) -> np.ndarray:
-    """Return base_link (forward-left-up) in ENU from forward-right-down in NED, wxyz."""
-    return quat_multiply(quat_multiply(_ENU_NED, q_nb), _FLIP)
-
-
 def ned_quaternion(q: np.ndarray) -> np.ndarray:
     """Return forward-right-down in NED from base_link (forward-left-up) in ENU, wxyz."""
-    conjugate = _ENU_NED * np.array([1.0, -1.0, -1.0, -1.0])
-    return quat_multiply(quat_multiply(conjugate, q), _FLIP * np.array([1.0, -1.0, -1.0, -1.0]))
+    conjugate = ENU_NED * np.array([1.0, -1.0, -1.0, -1.0])
+    return quat_multiply(quat_multiply(conjugate, q), FLIP * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def encode_odometry(estimate: NavigationEstimate, message: Any) -> None:
@@ -186,37 +174,17 @@ def encode_odometry(estimate: NavigationEstimate, message: Any) -> None:
     x, y, z = estimate.enu.tolist()
     position = message.pose.pose.position
     position.x, position.y, position.z = x, y, z
-    q = body_quaternion(estimate.q_nb)
+    pose, twist = np.empty(36), np.empty(36)
+    q, v = odometry_values(
+        estimate.q_nb, estimate.velocity, estimate.covariance, float(estimate.rate_variance), pose, twist
+    )
     set_quaternion(message.pose.pose.orientation, q)
-    n = _MAT_ENU_NED
-    mat_bn = _body_from_ned(estimate.q_nb)
-    v = mat_bn @ estimate.velocity
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     linear.x, linear.y, linear.z = v.tolist()
     w = estimate.rate.tolist()
     angular.x, angular.y, angular.z = w[0], -w[1], -w[2]
-    P = estimate.covariance
-    pose = np.zeros((6, 6))
-    pose[:3, :3] = n @ P[:3, :3] @ n.T
-    pose[:3, 3:] = n @ P[:3, 6:9] @ n.T
-    pose[3:, :3] = pose[:3, 3:].T
-    pose[3:, 3:] = n @ P[6:9, 6:9] @ n.T
-    # The body's velocity also errs with the attitude: δ(Cᵀv) = Cᵀ(δv + v × φ).
-    vx, vy, vz = estimate.velocity
-    J = np.hstack([mat_bn, mat_bn @ np.array([[0.0, -vz, vy], [vz, 0.0, -vx], [-vy, vx, 0.0]])])
-    twist = np.zeros((6, 6))
-    twist[:3, :3] = J @ P[3:9, 3:9] @ J.T
-    if np.trace(P[6:9, 6:9]) > _UNKNOWN_ATTITUDE:
-        twist[:3, :3] += np.eye(3) * (vx * vx + vy * vy + vz * vz)
-    twist[3:, 3:] = np.eye(3) * max(estimate.rate_variance, _LEAST_VARIANCE)
-    message.pose.covariance = pose.ravel()
-    message.twist.covariance = twist.ravel()
-
-
-def _body_from_ned(q_nb: np.ndarray) -> np.ndarray:
-    from kalman_core.rotation import matrix_from_quat
-
-    return _MAT_FLU_FRD @ matrix_from_quat(q_nb).T
+    message.pose.covariance = pose
+    message.twist.covariance = twist
 
 
 def encode_fix(estimate: FixEstimate, message: Any) -> None:

@@ -60,12 +60,14 @@ class DgpsBase:
         table, tail = self.state[: 4 * _SLOTS].reshape(_SLOTS, 4), self.state[4 * _SLOTS :]
         dt = epoch.stamp / NANOSECONDS - tail[0] if tail[0] else math.inf
         if dt <= 0.0:
-            self.tally.reject('base', 'not newer than the last epoch')
+            self.tally.reject('base/observations', 'not newer than the last epoch')
             return None
         residuals, above = self._residuals(rows)
         rows, residuals = rows[above], residuals[above]
         if len(rows) < 4 or not self._position_fits(rows, tail):
-            self.tally.reject('base', 'wrong base position' if len(rows) >= 4 else 'fewer than 4 satellites')
+            self.tally.reject(
+                'base/observations', 'wrong base position' if len(rows) >= 4 else 'fewer than 4 satellites'
+            )
             tail[0] = epoch.stamp / NANOSECONDS
             return None
         ranges = self._smooth(rows, residuals, table, dt)
@@ -81,7 +83,7 @@ class DgpsBase:
         out[:, 4] = 0.0
         table[slots, 3] = out[:, 2]
         tail[0] = epoch.stamp / NANOSECONDS
-        self.tally.accept('base', epoch.stamp)
+        self.tally.accept('base/observations', epoch.stamp)
         return Corrections(epoch.stamp, out)
 
     def _residuals(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

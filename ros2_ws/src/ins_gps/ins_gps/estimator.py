@@ -26,7 +26,7 @@ from ins_gps.samples import (
 from kalman_core.event_time import EventTimeBuffer
 from kalman_core.health import Tally
 
-_PORTS = ('imu', 'corrections', 'gnss', 'fix', 'velocity')
+_PORTS = ('imu/data_raw', 'gnss/corrections', 'gnss/observations', 'gnss/fix', 'gnss/velocity')
 _CODE_WORDS = {
     ch.ROW_USED: 'used',
     ch.ROW_CODE_REJECTED: 'gated',
@@ -92,7 +92,7 @@ class InsGpsEstimator:
     def on_gnss(self, sample: GnssEpoch) -> list[Any] | None:
         """Use an epoch; return the position fix and the sensor biases."""
         if sample.rows.ndim != 2 or sample.rows.shape[1] != OBSERVATION_COLUMNS:
-            self.tally.reject('gnss', 'wrong layout')
+            self.tally.reject('gnss/observations', 'wrong layout')
             return None
         out = self._feed(2, sample)
         if out:

@@ -50,7 +50,6 @@ from kalman_core.health import Tally
 from kalman_core.rotation import matrix_from_quat
 
 NANOSECONDS = 1_000_000_000
-# Gates of whole vectors at 1e-6: a loose fix has passed RAIM before.
 _GATE_POSITION = chi2_gate(3, 1e-6)
 _PRIOR_POSITION = 100.0  # m, so that the first epoch's codes decide
 _PRIOR_CLOCK = 1_000.0  # m
@@ -152,16 +151,16 @@ class NavigationFilter:
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         fault = imu_fault(sample)
         if fault:
-            self.tally.reject('imu', fault)
+            self.tally.reject('imu/data_raw', fault)
             return None
         if s[at.IMU_SEC] > 0.0 and sample.stamp <= _stamp(s[at.IMU_SEC], s[at.IMU_NSEC]):
-            self.tally.reject('imu', 'not newer than the last')
+            self.tally.reject('imu/data_raw', 'not newer than the last')
             return None
         self._average(sample, sec, nsec)
         if s[at.IMU_SEC] > 0.0:
             s[at.IMU_STEP] = (sec - s[at.IMU_SEC]) + (nsec - s[at.IMU_NSEC]) * 1e-9
         s[at.IMU_SEC], s[at.IMU_NSEC] = sec, nsec
-        self.tally.accept('imu', sample.stamp)
+        self.tally.accept('imu/data_raw', sample.stamp)
         if not self.running or self.params.mode == 'gps':
             return None
         if sample.stamp - _stamp(s[at.SEC], s[at.NSEC]) > _MAX_STEP * NANOSECONDS:
@@ -203,9 +202,9 @@ class NavigationFilter:
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         good = valid_satellites(sample.rows) & np.isfinite(sample.rows[:, 2:4]).all(axis=1)
         ch.store_corrections(self.state, self.channels, sample.rows[good], sec, nsec)
-        self.tally.accept('corrections', sample.stamp)
+        self.tally.accept('gnss/corrections', sample.stamp)
         for _ in range(int((~good).sum())):
-            self.tally.reject('corrections', 'unknown satellite or not finite')
+            self.tally.reject('gnss/corrections', 'unknown satellite or not finite')
 
     def gnss(self, sample: GnssEpoch) -> FixEstimate | None:
         """Use one epoch of observations; None before there is a solution."""
@@ -213,17 +212,18 @@ class NavigationFilter:
         good = valid_satellites(rows)
         if not good.all():
             for _ in range(int((~good).sum())):
-                self.tally.reject('gnss', 'unknown satellite or signal')
+                self.tally.reject('gnss/observations', 'unknown satellite or signal')
             rows = rows[good]
         rows, implausible = plausible_rows(rows)
         if implausible:
-            self.tally.reject('gnss', 'implausible value')
+            self.tally.reject('gnss/observations', 'implausible value')
         s = self.state
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         since = (sec - s[at.EPOCH_SEC]) + (nsec - s[at.EPOCH_NSEC]) * 1e-9 if s[at.HAVE_EPOCH] else 0.0
         if s[at.HAVE_EPOCH] and since <= 0.0:
-            self.tally.reject('gnss', 'not newer than the last epoch')
+            self.tally.reject('gnss/observations', 'not newer than the last epoch')
             return None
+        self.tally.accept('gnss/observations', sample.stamp)
         if self.params.mode == 'gps':
             return self._gps_only(sample.stamp, rows, since)
         if s[at.STAGE] == at.WAITING:
@@ -233,7 +233,7 @@ class NavigationFilter:
         if self.coasting:
             hold_still(s)
         mode = self.params.mode
-        if mode == 'ins' and not self.coasting:
+        if mode == 'ins' and self.running:
             hold_to(s, self.channels, self.config, sec, nsec)
             return None
         if mode in ('ins', 'loose'):
@@ -328,14 +328,14 @@ class NavigationFilter:
         s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
         remember_carrier(s, self.channels, self.config, rows)
         if fix is None:
-            self.tally.reject('gnss/fix', 'no consistent fix')
+            self.tally.reject('loose fix', 'no consistent fix')
             return
-        self._use_position(stamp, fix.geodetic, ned_covariance(fix.position, fix.geodetic), 'gnss/fix')
+        self._use_position(stamp, fix.geodetic, ned_covariance(fix.position, fix.geodetic), 'loose fix')
         # The paper's loose coupling knows positions only.
         if fix.velocity is not None and self.params.states == 'full':
             mat = mat_ecef_from_ned(fix.geodetic[0], fix.geodetic[1])
             covariance = mat.T @ fix.velocity.covariance[:3, :3] @ mat
-            self._use_velocity(stamp, mat.T @ fix.velocity.position, covariance, 'gnss/fix velocity')
+            self._use_velocity(stamp, mat.T @ fix.velocity.position, covariance, 'loose velocity')
 
     def _use_position(self, stamp: int, geodetic, covariance, name: str) -> bool:
         s = self.state
@@ -374,7 +374,7 @@ class NavigationFilter:
         """Use a fix from elsewhere (loose coupling); it also starts the filter."""
         fault = navigation_fault(sample.geodetic, sample.covariance)
         if fault:
-            self.tally.reject('fix', fault)
+            self.tally.reject('gnss/fix', fault)
             return None
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         s = self.state
@@ -386,7 +386,7 @@ class NavigationFilter:
         hold_to(s, self.channels, self._prediction, sec, nsec)
         since = sec - s[at.FIX_SEC] if s[at.FIX_SEC] else 0.0
         s[at.FIX_SEC] = sec
-        if not self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'fix'):
+        if not self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'gnss/fix'):
             s[at.LOST] += since
         self._align(since)
         return self._fix_estimate(sample.stamp)
@@ -395,17 +395,17 @@ class NavigationFilter:
         """Use a velocity from elsewhere."""
         fault = navigation_fault(sample.velocity, sample.covariance)
         if fault:
-            self.tally.reject('velocity', fault)
+            self.tally.reject('gnss/velocity', fault)
             return
         s = self.state
         if s[at.STAGE] == at.WAITING:
-            self.tally.reject('velocity', 'no position to start from yet')
+            self.tally.reject('gnss/velocity', 'no position to start from yet')
             return
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
         if self.coasting:
             hold_still(s)
         hold_to(s, self.channels, self._prediction, sec, nsec)
-        self._use_velocity(sample.stamp, sample.velocity, sample.covariance, 'velocity')
+        self._use_velocity(sample.stamp, sample.velocity, sample.covariance, 'gnss/velocity')
         self._align(0.0)
 
     def _gps_only(self, stamp: int, rows: np.ndarray, since: float) -> FixEstimate | None:
@@ -416,7 +416,7 @@ class NavigationFilter:
         s[at.SEC], s[at.NSEC] = sec, nsec
         if fix is None:
             remember_carrier(s, self.channels, self.config, rows)
-            self.tally.reject('gnss/fix', 'no consistent fix')
+            self.tally.reject('loose fix', 'no consistent fix')
             return None
         sigmas = np.full(9, math.pi)  # the attitude is not known
         velocity = np.zeros(3)
@@ -430,7 +430,7 @@ class NavigationFilter:
         P[at.POS : at.POS + 3, at.POS : at.POS + 3] = ned_covariance(fix.position, fix.geodetic)
         P[at.VEL : at.VEL + 3, at.VEL : at.VEL + 3] = velocity_covariance
         remember_carrier(s, self.channels, self.config, rows)
-        self.tally.accept('gnss/fix', stamp, fix.position.statistic)
+        self.tally.accept('loose fix', stamp, fix.position.statistic)
         return self._fix_estimate(stamp)
 
     def _start(self, stamp: int, rows: np.ndarray, since: float) -> None:
@@ -438,7 +438,7 @@ class NavigationFilter:
         s = self.state
         sec, nsec = divmod(stamp, NANOSECONDS)
         if fix is None:
-            self.tally.reject('gnss/fix', 'no consistent fix to start from')
+            self.tally.reject('loose fix', 'no consistent fix to start from')
         else:
             spread = np.eye(3) * _PRIOR_POSITION**2
             if self.params.mode == 'loose':
@@ -470,8 +470,7 @@ class NavigationFilter:
         origin = s[at.ORIGIN : at.ORIGIN + 3].copy()
         enu = enu_from_ecef(ecef_from_geodetic(nav[0], nav[1], nav[2]), origin[0], origin[1], origin[2])
         rate, covariance = s[at.RATE : at.RATE + 3].copy(), self.covariance[:9, :9].copy()
-        P = self.covariance
-        bias = P[at.GYR, at.GYR] + P[at.GYR + 1, at.GYR + 1] + P[at.GYR + 2, at.GYR + 2]
+        bias = np.trace(self.covariance[at.GYR : at.GYR + 3, at.GYR : at.GYR + 3])
         # White noise of one sample: its density over the IMU's interval.
         white = self.params.gyro_noise**2 / max(s[at.IMU_STEP], 1e-3)
         variance = float(bias / 3.0 + white) if self.running else _UNKNOWN_RATE**2

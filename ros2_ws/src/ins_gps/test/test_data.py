@@ -56,7 +56,7 @@ def test_a_wrong_base_position_is_detected_and_nothing_is_sent():
     assert answers[-1] is None
     assert base.diagnostics()['level'] == 2
     assert base.wrong_position == pytest.approx(222.0, rel=0.15)
-    assert base.tally.sensor('base').rejected['wrong base position'] > 5
+    assert base.tally.sensor('base/observations').rejected['wrong base position'] > 5
 
 
 def test_doctor_names_a_time_offset():

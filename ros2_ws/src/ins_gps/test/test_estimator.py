@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from bag_tools.bag import zeroed
 from ins_gps import codec
 from ins_gps.estimator import InsGpsEstimator
+from ins_gps.odometry import body_quaternion
 from ins_gps.params import FilterParams
 from ins_gps.samples import (
     OBSERVATION_COLUMNS,
@@ -136,7 +137,7 @@ def test_imu_turns_from_left_up_to_right_down(run):
     ('ned', 'enu'), [((0, 0, 0), (0, 0, 90)), ((10, 0, 90), (10, 0, 0)), ((0, 20, 180), (0, -20, -90))]
 )
 def test_attitude_is_rep_103_in_messages(ned, enu):
-    q = codec.body_quaternion(quat_from_euler(*np.radians(ned)))
+    q = body_quaternion(quat_from_euler(*np.radians(ned)))
     np.testing.assert_allclose(np.degrees(euler_from_quat(q)), enu, atol=1e-9)
     np.testing.assert_allclose(np.abs(codec.ned_quaternion(q) @ quat_from_euler(*np.radians(ned))), 1.0)
 

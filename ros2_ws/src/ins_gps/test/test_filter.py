@@ -194,6 +194,6 @@ def test_bad_samples_are_counted_and_harmless():
     navigation.gnss(GnssEpoch(int(stamps[3]), rows))
     navigation.gnss(GnssEpoch(int(stamps[4]), np.empty((0, rows.shape[1]))))
     navigation.gnss(GnssEpoch(int(stamps[4]), rows))
-    assert navigation.tally.sensor('imu').rejected == {'not finite': 1, 'not newer than the last': 1}
-    assert navigation.tally.sensor('gnss').rejected['unknown satellite or signal'] == 2
+    assert navigation.tally.sensor('imu/data_raw').rejected == {'not finite': 1, 'not newer than the last': 1}
+    assert navigation.tally.sensor('gnss/observations').rejected['unknown satellite or signal'] == 2
     assert np.isfinite(navigation.state).all()

@@ -24,13 +24,13 @@ class AttitudeParams:
         5.0, 'standard deviation of the gyro bias at start', unit='°/s', minimum=1e-3, maximum=30.0
     )
     gyro_bias_walk: float = parameter(
-        0.0035, 'random walk of the gyro bias, warm-up included', unit='°/s/√s', minimum=1e-7, maximum=1.0
+        0.0038, 'random walk of the gyro bias, warm-up included', unit='°/s/√s', minimum=1e-7, maximum=1.0
     )
     accelerometer_noise: float = parameter(
         0.006, 'accelerometer white noise', unit='m/s²/√Hz', minimum=1e-5, maximum=1.0
     )
     accelerometer_bias_sigma: float = parameter(
-        1.2,
+        1.0,
         'standard deviation of the accelerometer bias left by calibration',
         unit='mg',
         minimum=0.01,
@@ -59,7 +59,7 @@ class AttitudeParams:
         1.5, 'interval of the displacement pseudo-measurement', unit='s', minimum=0.02, maximum=5.0
     )
     aiding_sigma: float = parameter(
-        0.1, 'mismatch of the wave model as a share of the displacement', minimum=0.001, maximum=2.0
+        0.03, 'mismatch of the wave model as a share of the displacement', minimum=0.001, maximum=2.0
     )
     path_walk: float = parameter(
         0.01, "random walk of the mean path's velocity", unit='m/s/√s', minimum=1e-5, maximum=5.0

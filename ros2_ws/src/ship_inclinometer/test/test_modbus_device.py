@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import asyncio
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -233,3 +234,8 @@ def test_no_pdu_raises_and_none_changes_a_locked_device(pdu):
     assert ship.commands == []
     if not device.unlocked:
         assert device.settings == {s.name: s.default for s in m.SETTINGS}
+
+
+def test_the_readme_holds_the_map_of_the_code():
+    readme = (Path(__file__).parents[1] / 'README.md').read_text()
+    assert f'<!-- modbus-map -->\n{m.map_markdown()}\n<!-- end -->' in readme

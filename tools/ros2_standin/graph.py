@@ -13,8 +13,8 @@ from rclpy.node import Node
 
 from ros2_standin.text import message_class, set_fields
 
-# Discovery is done when nothing new has been heard for this long (s) since the first foreign node; there is no
-# daemon that would know the graph already. An empty graph is believed after the limit.
+# Discovery is done when nothing new has been heard for this long (s) since the first foreign node: there is
+# no daemon that would know the graph already. An empty graph is believed after the limit.
 _QUIET = 1.5
 _LIMIT = 5.0
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from node_core.messages import set3, set_quaternion, set_stamp
 
+Vector = Sequence[float] | np.ndarray
+
 IMU = 'sensor_msgs/msg/Imu'
 MAGNETIC_FIELD = 'sensor_msgs/msg/MagneticField'
 TEMPERATURE = 'sensor_msgs/msg/Temperature'
@@ -29,7 +31,7 @@ def prepare_imu(message: Any, frame: str, gyro_variance: float, accel_variance: 
     message.linear_acceleration_covariance = np.diag([accel_variance] * 3).ravel()
 
 
-def encode_imu(message: Any, stamp: int, gyro: Sequence[float], accel: Sequence[float]) -> None:
+def encode_imu(message: Any, stamp: int, gyro: Vector, accel: Vector) -> None:
     """Fill a prepared sensor_msgs/Imu: stamp (ns), gyro (rad/s), specific force (m/s²)."""
     set_stamp(message.header, stamp)
     set3(message.angular_velocity, gyro)
@@ -42,13 +44,13 @@ def prepare_mag(message: Any, frame: str, variance: float) -> None:
     message.magnetic_field_covariance = np.diag([variance] * 3).ravel()
 
 
-def encode_mag(message: Any, stamp: int, field: Sequence[float]) -> None:
+def encode_mag(message: Any, stamp: int, field: Vector) -> None:
     """Fill a prepared sensor_msgs/MagneticField: stamp (ns), field (T)."""
     set_stamp(message.header, stamp)
     set3(message.magnetic_field, field)
 
 
-def encode_orientation(message: Any, stamp: int, quaternion: Sequence[float]) -> None:
+def encode_orientation(message: Any, stamp: int, quaternion: Vector) -> None:
     """Fill a geometry_msgs/QuaternionStamped: stamp (ns), wxyz, body to ENU; the frame is set before."""
     set_stamp(message.header, stamp)
     set_quaternion(message.quaternion, quaternion)

@@ -179,7 +179,7 @@ class AttitudeController:
     def on_tick(self, clock: float) -> list:
         """Watch for silence; `clock` is any steady time in s. Returns a stop when attitudes have ceased.
 
-        Call it at least every 10 ms: an attitude older than `imu_timeout` stops the motors.
+        Call it every 5 ms: an attitude older than `imu_timeout` stops the motors.
         """
         if self._attitude is None or not self.arming.flying:
             self._unchanged = None
@@ -302,10 +302,11 @@ class AttitudeController:
         return [MotorCommand(sample.stamp, _four(self._pulses), _four(self._thrust)), report, *self.said()]
 
     def _rest(self, sample: Attitude) -> list:
+        if self._trial:
+            self._revert('reverted: the motors stopped during the trial', sample.stamp)
         p = self.params
         self.loop.rest()
         self.state[_AIRBORNE] = 0.0
-        self._trial = None
         self._relay = None
         stop = (p.pulse_min,) * 4
         zero = (0.0, 0.0, 0.0, 0.0)
@@ -342,11 +343,11 @@ class AttitudeController:
             saturated = bool(np.any(np.abs(self.loop.demand - self._achieved[:3]) > 1e-9))
             verdict = self._trial.watch(time, dt, rate_errors, errors, saturated)
             if verdict:
-                trial, self._trial = self._trial, None
-                if verdict != 'kept':
-                    self.params = dataclasses.replace(self.params, **trial.before)  # type: ignore[arg-type]
-                    self.loop.configure(self.params)
-                self._say('trial', verdict, sample.stamp)
+                if verdict == 'kept':
+                    self._trial = None
+                    self._say('trial', verdict, sample.stamp)
+                else:
+                    self._revert(verdict, sample.stamp)
         if self._relay:
             axis, relay = self._relay
             failed = relay.failed
@@ -358,6 +359,15 @@ class AttitudeController:
             elif relay.result is not None:
                 self._relay = None
                 self._propose(axis, relay.result, sample.stamp)
+
+    def _revert(self, verdict: str, stamp: int) -> None:
+        """Go back to the gains before the trial."""
+        if self._trial is None:
+            return
+        before, self._trial = self._trial.before, None
+        self.params = dataclasses.replace(self.params, **before)  # type: ignore[arg-type]
+        self.loop.configure(self.params)
+        self._say('trial', verdict, stamp)
 
     def _propose(self, axis: int, ultimate, stamp: int) -> None:
         gains = cascade_for(plant_from_ultimate(ultimate, _ASSUMED_DELAY))

@@ -226,7 +226,7 @@ class ArmingParams:
     """When the motors may turn, and what happens when something is missing."""
 
     imu_timeout: float = parameter(
-        0.04, 'attitude older than this stops the motors', unit='s', minimum=0.005, maximum=0.05
+        0.035, 'attitude older than this stops the motors', unit='s', minimum=0.005, maximum=0.04
     )
     link_timeout: float = parameter(
         0.5, 'setpoint older than this is a lost link', unit='s', minimum=0.05, maximum=5.0

@@ -14,8 +14,9 @@ from quad_control.codec import AXES, CONTROLLER_PORTS
 from quad_control.controller import AttitudeController
 from quad_control.params import GAINS, ControllerParams
 
-# The watchdog looks this often (s); with the longest imu_timeout of 40 ms motors stop within 50 ms.
-_WATCH = 0.008
+# The watchdog looks this often (s): one look notes an attitude, a later one finds it too old, so motors stop
+# within imu_timeout (40 ms at most) and two looks of the last attitude, 50 ms.
+_WATCH = 0.005
 
 
 class AttitudeControllerNode(EstimatorNode):

@@ -17,7 +17,7 @@ from quad_control.simulation import QuadSimulator
 
 _RANGE_RATE, _BATTERY_RATE = 20.0, 5.0  # Hz
 # In lock-step, a command that does not come within this time (s) counts as lost and time goes on.
-_LOST = 0.5
+_LOST = 5.0
 # After a longer pause of the machine the missed time is not caught up with (s).
 _LONGEST_BURST = 0.1
 

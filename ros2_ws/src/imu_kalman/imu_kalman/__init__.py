@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attitude from inertial sensors: two-state angle filter, 9-axis error-state filter, simulator, MPU6050 driver."""
+"""Attitude from inertial sensors: two filters, a simulator and an MPU6050 driver."""

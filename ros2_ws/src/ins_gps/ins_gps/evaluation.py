@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def filter_params(budget: ErrorBudget, imu: ImuErrors = HG1700, **changes) -> Fi
             'code_slow_alone': budget.slow,
             'code_multipath': budget.multipath / math.sqrt(3.0),
         }
-    values = {
+    values: dict[str, Any] = {
         'channels': 8,
         'gyro_noise': imu.gyro_noise,
         'accel_noise': imu.accel_noise,

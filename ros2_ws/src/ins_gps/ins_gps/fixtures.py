@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from bag_tools.bag import BagWriter, zeroed
 from ins_gps import codec
@@ -22,7 +23,7 @@ START = 1_767_225_600 * NANOSECONDS  # 2026-01-01
 
 def write_run(path: Path, run: Run, delays: dict[int, int] | None = None) -> None:
     """Write a simulated run into a bag (mcap, zstd); `delays` (ns) of GNSS epochs by their index."""
-    records = [(s.stamp, 0, s) for s in run.imu_samples()]
+    records: list[tuple[int, int, Any]] = [(s.stamp, 0, s) for s in run.imu_samples()]
     records += [
         (epoch.stamp + (delays or {}).get(index, 0), 1, epoch) for index, epoch in enumerate(run.epochs)
     ]

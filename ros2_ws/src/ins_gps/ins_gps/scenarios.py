@@ -32,7 +32,7 @@ def scenario_of(params: SimulatorParams, start: int) -> Scenario:
     budget = replace(
         _BUDGETS[params.budget], white=params.white, selective_availability=params.selective_availability
     )
-    outages = ()
+    outages: tuple[Outage, ...] = ()
     if params.outage_end > params.outage_start:
         outages = (Outage(params.outage_start, params.outage_end, params.outage_left),)
     base = Scenario(

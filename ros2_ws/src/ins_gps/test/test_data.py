@@ -185,3 +185,14 @@ def test_fixtures_are_small_and_deterministic(tmp_path):
             counts.append({name: topic.count for name, topic in bag.topics.items()})
     assert counts[0] == counts[1]
     assert counts[0]['/gnss/observations'] == 121
+
+
+def test_the_doctor_examines_a_bag(tmp_path):
+    from ins_gps.examination import examine
+    from ins_gps.fixtures import write_run
+
+    shifted = simulate(replace(BASE, duration=60.0, gnss_offset=1.0), 4)
+    write_run(tmp_path / 'bag', shifted)
+    findings = examine(tmp_path / 'bag', '/imu/data_raw', '/gnss/observations')
+    assert [f.check for f in findings if f.level == 'error'] == ['time']
+    assert any('late' in f.text for f in findings)

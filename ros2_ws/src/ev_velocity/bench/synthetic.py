@@ -134,7 +134,8 @@ def rows(options: Options) -> Iterator[Row]:
 
 
 def _delay_rows(seeds: int) -> Iterator[Row]:
-    for rate in (10.0, 1.0):
+    # The bar is that of the good road; one sample a second is told beside it.
+    for rate, bar in ((10.0, 0.02), (1.0, None)):
         worst = 0.0
         for delay in DELAYS:
             for seed in range(seeds):
@@ -142,4 +143,4 @@ def _delay_rows(seeds: int) -> Iterator[Row]:
                 result = velocity_batch.run_drive(VelocityParams(), simulate(settings, seed, DELAY_KNOWN_AT))
                 worst = max(worst, abs(result.states[-1, mem.TG] - delay))
         text = f'unknown delay of 0 … {max(DELAYS):g} s, GPS {rate:g} Hz: error after 30 s, worst seed'
-        yield Row(PACKAGE, text, worst, 's', 0.02, seeds=seeds)
+        yield Row(PACKAGE, text, worst, 's', bar, seeds=seeds)

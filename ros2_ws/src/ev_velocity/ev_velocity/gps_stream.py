@@ -46,7 +46,7 @@ class GpsStream:
     def feed(self, data: bytes) -> list[GpsSpeed]:
         """Take bytes as they come, in pieces of any size; return the speeds completed by them."""
         self._buffer += data
-        out = []
+        out: list[GpsSpeed] = []
         while True:
             message = self._next()
             if message is None:

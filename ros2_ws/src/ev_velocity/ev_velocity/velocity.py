@@ -121,7 +121,7 @@ class _Model:
         self.params = params
         self._constants = kernel_constants(params)
         self._counts_per_radian = params.pulses_per_revolution / (2.0 * math.pi)
-        self._handlers: tuple[Callable[[Any, int], Any], ...] = (
+        self._handlers: tuple[Callable[[Any, float], Any], ...] = (
             self._force, self._gps, self._angle, self._wheel_speed, self._pedals, self._gear,
         )  # fmt: skip
 

@@ -201,9 +201,9 @@ def correct(m, residual, h, r, gate):
 
 @njit(cache=True, nogil=True)
 def consider(m, residual, h, r, gate):
-    """Correct like `correct`, but leave the wheel's scale and slip as they are and their uncertainty counted.
+    """Correct like `correct`, but leave the wheel's scale as it is and its uncertainty counted.
 
-    Without a GPS only the accelerometer's gain tells them, which is not good enough to weigh a wheel by
+    Without a GPS only the accelerometer's gain tells it, which is not good enough to weigh a wheel by
     (Schmidt's consider filter).
     """
     x = m[X : X + N]
@@ -220,7 +220,6 @@ def consider(m, residual, h, r, gate):
         return nis
     gain = ph / s
     gain[S] = 0.0
-    gain[C] = 0.0
     before = x[V]
     for i in range(N):
         x[i] += gain[i] * residual

@@ -210,6 +210,7 @@ def gps_step(m, constants, speed, variance, t, h):
     predicted = delayed_row(m, TG, h)
     floor = RECTIFIED * math.sqrt(variance)
     if speed < floor and abs(predicted) < floor:
+        m[GPS_REFUSED_SINCE] = -1.0
         return SKIPPED
     residual = direction_of(m) * speed - predicted
     m[NIS] = correct(m, residual, h, variance, constants[GATE])
@@ -247,9 +248,11 @@ def _stand(m, constants, h):
     h[V] = 1.0
     m[SLIP] = 0.0
     m[PENDING] = 0.0
+    m[WHEEL_RESIDUAL] = 0.0
     m[NIS] = _correct_by_wheel(m, constants, -m[X + V], h, constants[STILL_VARIANCE], constants[GATE])
     if m[NIS] <= constants[GATE]:
         m[WHEEL_ACCEPTED] = m[TIME]
+        m[WHEEL_REFUSED_SINCE] = -1.0
         return USED
     m[MOVED_TIME] = m[TIME]
     return SKIPPED
@@ -315,8 +318,10 @@ def count_step(m, constants, count, t, h):
     _follow_wheel(m, direction_of(m) * residual / dt, dt)
     m[NIS] = residual * residual / (variance + tooth_variance(constants))
     accepted = abs(residual) <= 0.5 * constants[TOOTH] + math.sqrt(constants[GATE] * variance)
+    slipped = m[WHEEL_REFUSED_SINCE] >= 0.0
     done = _judge_wheel(m, constants, accepted)
-    if done != USED:
+    if done != USED or slipped:
+        # The first count after a slip may hold its last part: only what follows it is believed.
         _anchor(m, constants, z + rolled * m[X + TW])
         return done
     _use_pending(m, constants, h)

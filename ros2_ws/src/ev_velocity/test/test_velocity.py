@@ -274,3 +274,16 @@ def test_live_parameters_take_effect_without_a_restart():
     assert estimator.state[mem.X + mem.V] == speed
     feed(estimator, sequence[3000:])
     assert estimator.tally.sensors['gps'].rejected['gate'] > 0
+
+
+def test_single_outliers_while_standing_do_not_add_up_to_a_lock_out():
+    estimator = VelocityEstimator()
+    for i in range(1, 500 * 60):
+        stamp = START + i * 2_000_000
+        if i % 50 == 0:
+            estimator.on_angle(AngleSample(stamp, 0.0))
+            estimator.on_gps(GpsSample(stamp, 0.4 if i % 10_000 == 0 else 0.03, 0.05**2))
+        estimator.on_force(ForceSample(stamp, 0.02))
+    assert estimator.tally.sensors['gps'].rejected['gate'] == 2
+    assert not estimator.tally.restarts
+    assert estimator.learned()['scale_sigma'] == pytest.approx(estimator.params.scale_sigma, rel=0.01)

@@ -3,21 +3,17 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
-from pathlib import Path
+
+import ev_live
+import ev_recorded
+import ev_synthetic
 
 from bag_tools.bench import Options, Row
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-import live
-import recorded
-import synthetic
 
 
 def measure(options: Options) -> Iterable[Row]:
     """Measure the simulated drives, the recordings if they are there, and the live nodes."""
-    yield from synthetic.rows(options)
-    yield from recorded.rows(options)
-    yield from live.rows(options)
+    yield from ev_synthetic.rows(options)
+    yield from ev_recorded.rows(options)
+    yield from ev_live.rows(options)

@@ -119,12 +119,15 @@ setup_bench() {
   if [ "$(cat "$VENV_BENCH/.ws-stamp" 2>/dev/null)" != "$stamp" ]; then
     say "making .venv-bench with the peers that figures are compared to"
     python -m venv --clear "$VENV_BENCH"
-    # The workspace's own packages are seen through a path file: both environments share one set of pins.
+    # What .venv holds is seen through a path file: both environments share one set of pins.
     python -c 'import sysconfig; print(sysconfig.get_paths()["purelib"])' \
       >"$("$VENV_BENCH/bin/python" -c 'import sysconfig; print(sysconfig.get_paths()["purelib"])')/workspace.pth"
     install_pins "$VENV_BENCH" "$lock"
     echo "$stamp" >"$VENV_BENCH/.ws-stamp"
   fi
+  # ROS wheels find their libraries through a path that only .venv's own Python knows.
+  LD_LIBRARY_PATH="$(python -c 'import os; print(os.environ.get("LD_LIBRARY_PATH", ""))')"
+  export LD_LIBRARY_PATH
 }
 
 setup_environment() {

@@ -58,7 +58,7 @@ class Row:
             return False
         if self.bar is None:
             return True
-        return self.value <= self.bar if self.better == 'lower' else self.value >= self.bar
+        return bool(self.value <= self.bar if self.better == 'lower' else self.value >= self.bar)
 
 
 class BenchError(Exception):

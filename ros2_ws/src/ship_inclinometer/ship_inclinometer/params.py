@@ -24,7 +24,7 @@ class AttitudeParams:
         5.0, 'standard deviation of the gyro bias at start', unit='°/s', minimum=1e-3, maximum=30.0
     )
     gyro_bias_walk: float = parameter(
-        0.0038, 'random walk of the gyro bias, warm-up included', unit='°/s/√s', minimum=1e-7, maximum=1.0
+        0.0034, 'random walk of the gyro bias, warm-up included', unit='°/s/√s', minimum=1e-7, maximum=1.0
     )
     accelerometer_noise: float = parameter(
         0.006, 'accelerometer white noise', unit='m/s²/√Hz', minimum=1e-5, maximum=1.0
@@ -92,7 +92,7 @@ class AttitudeParams:
         maximum=10.0,
     )
     deviation_sigma: float = parameter(
-        0.6, 'magnetic deviation left after calibration', unit='°', minimum=0.05, maximum=20.0
+        0.5, 'magnetic deviation left after calibration', unit='°', minimum=0.05, maximum=20.0
     )
     deviation_angle: float = parameter(
         60.0, 'heading change over which the deviation is forgotten', unit='°', minimum=5.0, maximum=360.0

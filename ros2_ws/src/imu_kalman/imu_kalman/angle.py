@@ -238,14 +238,19 @@ class AngleFilter:
     """Streaming estimator of roll, pitch and yaw; see the module's docstring."""
 
     def __init__(self, params: TwoStateParams | None = None) -> None:
-        self.params = p = params if params is not None else TwoStateParams()
+        p = params if params is not None else TwoStateParams()
         self.tally = Tally()
         self.state = np.zeros(_STATE)
-        self._par = _pack(p)
         self._out = np.zeros(VALUES)
         self._buffer = EventTimeBuffer(self, ('imu/data_raw',), self.tally, int(p.lag_window * NANOSECONDS))
-        self._settled = p.settled_output and p.lag_window > 0.0
+        self.set_params(p)
         self.warm_up()
+
+    def set_params(self, params: TwoStateParams) -> None:
+        """Take new parameters from the next sample on; the state is kept."""
+        self.params = params
+        self._par = _pack(params)
+        self._settled = params.settled_output and params.lag_window > 0.0
 
     def warm_up(self) -> None:
         """Compile the kernel, so that the first sample is not late."""

@@ -54,17 +54,22 @@ class AttitudeFilter:
     """Streaming estimator of attitude and gyro bias from imu/data_raw and, if present, imu/mag."""
 
     def __init__(self, params: AttitudeParams | None = None) -> None:
-        self.params = p = params if params is not None else AttitudeParams()
+        p = params if params is not None else AttitudeParams()
         self.tally = Tally()
         self.state = np.zeros(layout.STATE)
-        self._par = layout.pack(p)
         self._work = np.zeros(_SCRATCH)
         self._out = np.zeros(VALUES)
         self._buffer = EventTimeBuffer(self, (_IMU, _MAG), self.tally, int(p.lag_window * NANOSECONDS))
-        self._settled = p.settled_output and p.lag_window > 0.0
-        self._bias_period = int(p.bias_period * NANOSECONDS)
         self._bias_due = 0
+        self.set_params(p)
         self.warm_up()
+
+    def set_params(self, params: AttitudeParams) -> None:
+        """Take new parameters from the next sample on; the state is kept."""
+        self.params = params
+        self._par = layout.pack(params)
+        self._settled = params.settled_output and params.lag_window > 0.0
+        self._bias_period = int(params.bias_period * NANOSECONDS)
 
     def warm_up(self) -> None:
         """Compile the kernels, so that the first sample is not late."""

@@ -23,13 +23,18 @@ class TwoStateParams:
         choices=('accelerometer', 'zero'),
     )
     angle_noise: float = parameter(
-        5e-3, 'process noise of an angle (Q_angle)', unit='rad^2/s', minimum=0.0, maximum=1e3
+        5e-3, 'process noise of an angle (Q_angle)', unit='rad^2/s', minimum=0.0, maximum=1e3, live=True
     )
     bias_noise: float = parameter(
-        3e-3, 'random walk of a bias (Q_bias)', unit='(rad/s)^2/s', minimum=0.0, maximum=1e3
+        3e-3, 'random walk of a bias (Q_bias)', unit='(rad/s)^2/s', minimum=0.0, maximum=1e3, live=True
     )
     measurement_variance: float = parameter(
-        3e-2, 'variance of an accelerometer angle (R_measure)', unit='rad^2', minimum=1e-12, maximum=1e6
+        3e-2,
+        'variance of an accelerometer angle (R_measure)',
+        unit='rad^2',
+        minimum=1e-12,
+        maximum=1e6,
+        live=True,
     )
     bias_sigma: float = parameter(
         0.05, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=0.0, maximum=10.0
@@ -40,21 +45,32 @@ class TwoStateParams:
         unit='rad/s/sqrt(Hz)',
         minimum=0.0,
         maximum=1.0,
+        live=True,
     )
     accel_noise: float = parameter(
-        0.05, 'white noise of one specific force sample', unit='m/s^2', minimum=0.0, maximum=100.0
+        0.05, 'white noise of one specific force sample', unit='m/s^2', minimum=0.0, maximum=100.0, live=True
     )
     gimbal_limit: float = parameter(
-        1.4, 'beyond this pitch roll is not corrected and yaw is lost', unit='rad', minimum=0.1, maximum=1.55
+        1.4,
+        'beyond this pitch roll is not corrected and yaw is lost',
+        unit='rad',
+        minimum=0.1,
+        maximum=1.55,
+        live=True,
     )
     min_force: float = parameter(
-        0.5, 'weaker specific force has no usable direction', unit='m/s^2', minimum=1e-3, maximum=9.0
+        0.5,
+        'weaker specific force has no usable direction',
+        unit='m/s^2',
+        minimum=1e-3,
+        maximum=9.0,
+        live=True,
     )
     max_force: float = parameter(
-        1000.0, 'larger specific force is rejected', unit='m/s^2', minimum=10.0, maximum=1e5
+        1000.0, 'larger specific force is rejected', unit='m/s^2', minimum=10.0, maximum=1e5, live=True
     )
     max_rate: float = parameter(
-        100.0, 'larger angular velocity is rejected', unit='rad/s', minimum=1.0, maximum=1e4
+        100.0, 'larger angular velocity is rejected', unit='rad/s', minimum=1.0, maximum=1e4, live=True
     )
     max_gap: float = parameter(
         1.0,
@@ -62,19 +78,20 @@ class TwoStateParams:
         unit='s',
         minimum=0.01,
         maximum=10.0,
+        live=True,
     )
     lag_window: float = parameter(
         0.5, 'largest delay of arrival that is repaired; 0 = none', unit='s', minimum=0.0, maximum=5.0
     )
-    settled_output: bool = parameter(False, 'publish imu/data_settled, lag_window behind')
-    frame_id: str = parameter('', 'accept only this frame; empty = any')
+    settled_output: bool = parameter(False, 'publish imu/data_settled, lag_window behind', live=True)
+    frame_id: str = parameter('', 'accept only this frame; empty = any', live=True)
 
 
 @dataclass(frozen=True, slots=True)
 class AttitudeParams:
     """The 6- or 9-axis error-state filter."""
 
-    use_magnetometer: bool = parameter(True, 'correct heading with imu/mag; false = 6-axis')
+    use_magnetometer: bool = parameter(True, 'correct heading with imu/mag; false = 6-axis', live=True)
     block: float = parameter(
         0.05,
         'span over which samples are pre-integrated before one update',
@@ -83,7 +100,7 @@ class AttitudeParams:
         maximum=0.5,
     )
     gyro_noise: float = parameter(
-        8.7e-4, 'attitude process noise at rest', unit='rad/s/sqrt(Hz)', minimum=1e-6, maximum=1.0
+        8.7e-4, 'attitude process noise at rest', unit='rad/s/sqrt(Hz)', minimum=1e-6, maximum=1.0, live=True
     )
     rate_noise: float = parameter(
         3e-3,
@@ -91,15 +108,16 @@ class AttitudeParams:
         unit='sqrt(s)',
         minimum=0.0,
         maximum=1.0,
+        live=True,
     )
     bias_walk: float = parameter(
-        7e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0, maximum=0.1
+        7e-5, 'random walk of the gyro bias', unit='rad/s/sqrt(s)', minimum=0.0, maximum=0.1, live=True
     )
     bias_sigma: float = parameter(
         0.03, 'gyro bias at the start, one sigma per axis', unit='rad/s', minimum=1e-6, maximum=1.0
     )
     accel_noise: float = parameter(
-        0.02, 'white noise of the accelerometer', unit='m/s^2/sqrt(Hz)', minimum=1e-6, maximum=10.0
+        0.02, 'white noise of the accelerometer', unit='m/s^2/sqrt(Hz)', minimum=1e-6, maximum=10.0, live=True
     )
     tilt_sigma: float = parameter(
         0.2, 'roll and pitch of the first sample, one sigma', unit='rad', minimum=1e-3, maximum=3.0
@@ -120,23 +138,36 @@ class AttitudeParams:
         unit='Hz',
         minimum=1e-3,
         maximum=10.0,
+        live=True,
     )
     motion_frequency_max: float = parameter(
-        0.5, 'largest such frequency', unit='Hz', minimum=1e-3, maximum=10.0
+        0.5, 'largest such frequency', unit='Hz', minimum=1e-3, maximum=10.0, live=True
     )
     motion_share: float = parameter(
-        0.25, 'that frequency as a share of the measured frequency of the motion', minimum=0.0, maximum=1.0
+        0.25,
+        'that frequency as a share of the measured frequency of the motion',
+        minimum=0.0,
+        maximum=1.0,
+        live=True,
     )
-    motion_damping: float = parameter(0.7, 'damping of the motion model', minimum=0.05, maximum=5.0)
+    motion_damping: float = parameter(
+        0.7, 'damping of the motion model', minimum=0.05, maximum=5.0, live=True
+    )
     motion_noise: float = parameter(
         1.0,
         'least density of linear acceleration above that frequency',
         unit='m/s^2/sqrt(Hz)',
         minimum=1e-3,
         maximum=100.0,
+        live=True,
     )
     motion_span: float = parameter(
-        0.5, 'time over which linear acceleration is correlated', unit='s', minimum=0.0, maximum=100.0
+        0.5,
+        'time over which linear acceleration is correlated',
+        unit='s',
+        minimum=0.0,
+        maximum=100.0,
+        live=True,
     )
     motion_memory: float = parameter(
         2.0,
@@ -144,6 +175,7 @@ class AttitudeParams:
         unit='s',
         minimum=0.05,
         maximum=100.0,
+        live=True,
     )
     rest_rate: float = parameter(
         5.2e-3,
@@ -151,6 +183,7 @@ class AttitudeParams:
         unit='rad/s',
         minimum=1e-5,
         maximum=1.0,
+        live=True,
     )
     rest_force: float = parameter(
         0.1,
@@ -158,9 +191,10 @@ class AttitudeParams:
         unit='m/s^2',
         minimum=1e-3,
         maximum=10.0,
+        live=True,
     )
     rest_time: float = parameter(
-        1.5, 'quiet time before rest is believed', unit='s', minimum=0.1, maximum=60.0
+        1.5, 'quiet time before rest is believed', unit='s', minimum=0.1, maximum=60.0, live=True
     )
     rest_noise: float = parameter(
         2.8e-4,
@@ -168,12 +202,23 @@ class AttitudeParams:
         unit='rad/s/sqrt(Hz)',
         minimum=1e-7,
         maximum=1.0,
+        live=True,
     )
     mag_noise: float = parameter(
-        0.026, 'least noise of the magnetic heading', unit='rad/sqrt(Hz)', minimum=1e-5, maximum=10.0
+        0.026,
+        'least noise of the magnetic heading',
+        unit='rad/sqrt(Hz)',
+        minimum=1e-5,
+        maximum=10.0,
+        live=True,
     )
     mag_span: float = parameter(
-        3.0, 'time over which a disturbance of the field is correlated', unit='s', minimum=0.0, maximum=1e3
+        3.0,
+        'time over which a disturbance of the field is correlated',
+        unit='s',
+        minimum=0.0,
+        maximum=1e3,
+        live=True,
     )
     mag_memory: float = parameter(
         0.5,
@@ -181,12 +226,22 @@ class AttitudeParams:
         unit='s',
         minimum=0.05,
         maximum=100.0,
+        live=True,
     )
     mag_norm_gate: float = parameter(
-        0.1, 'relative deviation of the field strength that is rejected beyond', minimum=0.001, maximum=1.0
+        0.1,
+        'relative deviation of the field strength that is rejected beyond',
+        minimum=0.001,
+        maximum=1.0,
+        live=True,
     )
     mag_dip_gate: float = parameter(
-        0.175, 'deviation of the dip that is rejected beyond', unit='rad', minimum=0.001, maximum=3.2
+        0.175,
+        'deviation of the dip that is rejected beyond',
+        unit='rad',
+        minimum=0.001,
+        maximum=3.2,
+        live=True,
     )
     mag_reference: float = parameter(
         20.0,
@@ -194,6 +249,7 @@ class AttitudeParams:
         unit='s',
         minimum=0.1,
         maximum=1e4,
+        live=True,
     )
     mag_recovery: float = parameter(
         20.0,
@@ -201,6 +257,7 @@ class AttitudeParams:
         unit='s',
         minimum=0.1,
         maximum=1e4,
+        live=True,
     )
     sensor_delay: float = parameter(
         2.4e-3,
@@ -208,12 +265,13 @@ class AttitudeParams:
         unit='s',
         minimum=0.0,
         maximum=0.05,
+        live=True,
     )
     mag_delay: float = parameter(
-        7e-3, 'delay of the magnetometer behind the gyro', unit='s', minimum=0.0, maximum=0.05
+        7e-3, 'delay of the magnetometer behind the gyro', unit='s', minimum=0.0, maximum=0.05, live=True
     )
     delay_sigma: float = parameter(
-        1e-3, 'uncertainty of sensor_delay, one sigma', unit='s', minimum=0.0, maximum=0.05
+        1e-3, 'uncertainty of sensor_delay, one sigma', unit='s', minimum=0.0, maximum=0.05, live=True
     )
     heading_sigma: float = parameter(
         0.0175,
@@ -221,12 +279,13 @@ class AttitudeParams:
         unit='rad',
         minimum=0.0,
         maximum=1.0,
+        live=True,
     )
     max_rate: float = parameter(
-        100.0, 'larger angular velocity is rejected', unit='rad/s', minimum=1.0, maximum=1e4
+        100.0, 'larger angular velocity is rejected', unit='rad/s', minimum=1.0, maximum=1e4, live=True
     )
     max_force: float = parameter(
-        320.0, 'larger specific force is rejected', unit='m/s^2', minimum=10.0, maximum=1e5
+        320.0, 'larger specific force is rejected', unit='m/s^2', minimum=10.0, maximum=1e5, live=True
     )
     max_angular_acceleration: float = parameter(
         3000.0,
@@ -234,6 +293,7 @@ class AttitudeParams:
         unit='rad/s^2',
         minimum=1.0,
         maximum=1e9,
+        live=True,
     )
     max_jerk: float = parameter(
         3e4,
@@ -241,17 +301,26 @@ class AttitudeParams:
         unit='m/s^3',
         minimum=1.0,
         maximum=1e9,
+        live=True,
     )
     min_force: float = parameter(
-        0.5, 'weaker specific force cannot start the filter', unit='m/s^2', minimum=1e-3, maximum=9.0
+        0.5,
+        'weaker specific force cannot start the filter',
+        unit='m/s^2',
+        minimum=1e-3,
+        maximum=9.0,
+        live=True,
     )
-    max_field: float = parameter(0.01, 'larger field is rejected', unit='T', minimum=1e-4, maximum=10.0)
+    max_field: float = parameter(
+        0.01, 'larger field is rejected', unit='T', minimum=1e-4, maximum=10.0, live=True
+    )
     max_gap: float = parameter(
         1.0,
         'after a longer gap attitude starts anew from the next sample; the bias is kept',
         unit='s',
         minimum=0.02,
         maximum=9.0,
+        live=True,
     )
     bias_period: float = parameter(
         1.0,
@@ -259,9 +328,10 @@ class AttitudeParams:
         unit='s',
         minimum=0.0,
         maximum=1e3,
+        live=True,
     )
     lag_window: float = parameter(
         0.5, 'largest delay of arrival that is repaired; 0 = none', unit='s', minimum=0.0, maximum=5.0
     )
-    settled_output: bool = parameter(False, 'publish imu/data_settled, lag_window behind')
-    frame_id: str = parameter('', 'accept only this frame; empty = any')
+    settled_output: bool = parameter(False, 'publish imu/data_settled, lag_window behind', live=True)
+    frame_id: str = parameter('', 'accept only this frame; empty = any', live=True)

@@ -32,10 +32,14 @@ _SIGNIFICANT = 6
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How much to measure: `seeds` overrides the number of seeds, `quick` asks for a smoke run."""
+    """How much to measure: `seeds` overrides the number of seeds, `quick` asks for a smoke run.
+
+    `live` false leaves out what runs processes against the clock and so needs an idle machine.
+    """
 
     seeds: int | None = None
     quick: bool = False
+    live: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,6 +252,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument('packages', nargs='*', metavar='PACKAGE', help='default: all that have a benchmark')
     parser.add_argument('--seeds', type=int, help='number of seeds instead of that of the bars')
     parser.add_argument('--quick', action='store_true', help=f'smoke run, stored in {QUICK_RESULTS} only')
+    parser.add_argument('--no-live', action='store_true', help='leave out rows that need an idle machine')
     parser.add_argument('--strict', action='store_true', help='exit code 1 when a bar is missed')
     parser.add_argument(
         '--prune', action='store_true', help='drop stored rows that are not measured any more'
@@ -260,7 +265,7 @@ def main(arguments: list[str] | None = None) -> int:
         packages, without = choose_packages(root, asked.packages)
         for package in without:
             print(f'{package} has no bench/bench.py', file=sys.stderr)
-        rows, whole = _run(root, packages, Options(asked.seeds, asked.quick), asked.prune)
+        rows, whole = _run(root, packages, Options(asked.seeds, asked.quick, not asked.no_live), asked.prune)
     except BenchError as error:
         print(f'bench: {error}', file=sys.stderr)
         return 2

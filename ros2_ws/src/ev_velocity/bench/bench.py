@@ -16,4 +16,5 @@ def measure(options: Options) -> Iterable[Row]:
     """Measure the simulated drives, the recordings if they are there, and the live nodes."""
     yield from ev_synthetic.rows(options)
     yield from ev_recorded.rows(options)
-    yield from ev_live.rows(options)
+    if options.live:
+        yield from ev_live.rows(options)

@@ -23,5 +23,6 @@ def measure(options: Options) -> Iterable[Row]:
     yield from imu_synthetic.ship_rows(options)
     yield from imu_synthetic.honesty_rows(options)
     yield from imu_recorded.recorded_rows(options)
-    yield from lockstep_rows(options)
-    yield from live_rows(options)
+    if options.live:
+        yield from lockstep_rows(options)
+        yield from live_rows(options)

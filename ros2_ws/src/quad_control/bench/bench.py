@@ -50,7 +50,8 @@ def measure(options: Options) -> Iterable[Row]:
     yield from _mixer(seeds)
     yield from _faults(seeds)
     yield from _endurance()
-    yield from _live(options.quick)
+    if options.live:
+        yield from _live(options.quick)
 
 
 def _row(name: str, value: float, unit: str, bar: float | None = None, **rest) -> Row:

@@ -79,6 +79,8 @@ _LEAST_VEL2 = 1e-9
 _STILL_VAR = 0.05**2
 # At rest a tilt error (rad) beyond this and beyond 5 sigma is no accelerometer bias (0.5 m/s²).
 _REST_TILT = 0.05
+# At rest force shows tilt to the accelerometer's bias: so much (rad) is wrong however unsure the filter is.
+_REST_TILT_SURE = 0.08
 
 
 @njit(cache=True, nogil=True)
@@ -214,7 +216,7 @@ def tilt_plausible(state, par, cov):
     """
     if state[REST_TIME] >= par[REST_SPAN]:
         shown = math.sqrt(state[FORCE_N] ** 2 + state[FORCE_N + 1] ** 2) / (GRAVITY_NORM * state[SPAN])
-        if shown > max(_REST_TILT, 5.0 * math.sqrt(cov[0, 0] + cov[1, 1])):
+        if shown > min(max(_REST_TILT, 5.0 * math.sqrt(cov[0, 0] + cov[1, 1])), _REST_TILT_SURE):
             return False
     keep = max(0.0, 1.0 - state[SPAN] / max(par[START_SPAN], state[SPAN]))
     for i in range(3):

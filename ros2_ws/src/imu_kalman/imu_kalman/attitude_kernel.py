@@ -86,6 +86,8 @@ from imu_kalman.attitude_linear import start_covariance
 
 # A fault that lasts longer than this many samples is believed: no check may lock the filter out.
 _MAX_JUMPS = 2
+# Change of rate times gap (rad) beyond which the attitude after the gap is unknown, not merely uncertain.
+_LOST_TURN = 0.5
 # Up to this square of half the angle of a step (rad²) the series below are exact to the last bit.
 _SERIES = 0.01
 
@@ -217,6 +219,17 @@ def strapdown(state, dt, gx, gy, gz, ax, ay, az):
 
 
 @njit(cache=True, nogil=True)
+def lost(state, par, dt, gx, gy, gz):
+    """Whether a gap hides a turn that nobody measured: longer than a block, and rates that do not agree."""
+    if dt <= par[BLOCK]:
+        return False
+    x = gx - state[LAST_GYR]
+    y = gy - state[LAST_GYR + 1]
+    z = gz - state[LAST_GYR + 2]
+    return (x * x + y * y + z * z) * dt * dt > _LOST_TURN * _LOST_TURN
+
+
+@njit(cache=True, nogil=True)
 def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
     """Take one inertial sample (rad/s, m/s²) at sec + nanosec; update `state` in place.
 
@@ -226,7 +239,7 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
     """
     dt = elapsed(state, sec, nanosec)
     code = OK
-    if state[PHASE] == 0.0 or dt > par[MAX_GAP]:
+    if state[PHASE] == 0.0 or dt > par[MAX_GAP] or lost(state, par, dt, gx, gy, gz):
         if ax * ax + ay * ay + az * az < par[MIN_FORCE] * par[MIN_FORCE]:
             return WAITING
         code = STARTED if state[PHASE] == 0.0 else RESTARTED

@@ -25,7 +25,10 @@ def section(results: Sequence[Result]) -> RunResult:
         / sum(r.offline.inputs.values())
         for r in ordered
     }
-    verdict = 'equals the offline runner to the last bit' if equal else 'DIFFERS from the offline runner'
+    part = f' over its first {job.live_seconds:g} s' if job.live_seconds else ''
+    verdict = (
+        f'equals the offline runner to the last bit{part}' if equal else 'DIFFERS from the offline runner'
+    )
     return RunResult(
         name=f'{job.system} · {job.bag.stem}',
         comparisons={r.entry.label: [r.comparison] for r in ordered},

@@ -21,7 +21,15 @@ from workspace_harness.domain import own_domain
 from workspace_harness.make_bags import root
 from workspace_harness.replay import ReplayError, cut, differences, live, offline_all
 from workspace_harness.report import write
-from workspace_harness.systems import Job, choose, fixtures, recordings, space
+from workspace_harness.systems import (
+    LIVE_SECONDS,
+    LIVE_SECONDS_RECORDED,
+    Job,
+    choose,
+    fixtures,
+    recordings,
+    space,
+)
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,8 @@ def table(results: list[Result]) -> str:
             if r.comparison.score.nees is None
             else f'{r.comparison.score.nees / r.comparison.score.dof:.2f}'
         )
-        equal = 'to the last bit' if not r.differences else 'NO'
+        part = f' (first {r.job.live_seconds:g} s)' if r.job.live_seconds else ''
+        equal = 'NO' if r.differences else f'to the last bit{part}'
         for i, name in enumerate(r.job.replay.components):
             c = r.comparison.score.component(name)
             printed = r.job.replay.printed.get(name)
@@ -89,6 +98,7 @@ def table(results: list[Result]) -> str:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='./ws run', description='Replay the bags through live graphs.')
     parser.add_argument('systems', nargs='*', help='packages to run (default all)')
+    parser.add_argument('--whole', action='store_true', help='every bag through the graph from end to end')
     parser.add_argument('--no-recordings', action='store_true', help='fixtures only')
     parser.add_argument('--out', type=Path, default=root() / 'out', help='folder of bags and report')
     return parser.parse_args()
@@ -100,9 +110,10 @@ def main() -> int:
     out = arguments.out
     try:
         systems = choose(arguments.systems)
-        jobs = fixtures(root() / 'bags', systems)
+        jobs = fixtures(root() / 'bags', systems, 0.0 if arguments.whole else LIVE_SECONDS)
         if not arguments.no_recordings:
-            jobs += recordings(systems, out / 'recordings')
+            seconds = 0.0 if arguments.whole else LIVE_SECONDS_RECORDED
+            jobs += recordings(systems, out / 'recordings', seconds)
     except (ValueError, BagError) as error:
         print(f'./ws run: {error}', file=sys.stderr)
         return 2

@@ -15,7 +15,7 @@ from workspace_harness.make_bags import PACKAGES
 from workspace_harness.replay import Estimator
 
 # In lock-step every message waits for every node, so minutes of a fast sensor take minutes. By default the
-# graph gets the beginning of a bag (s); the offline runner, equal to the last bit as the table shows, the whole.
+# graph gets the beginning of a bag (s); the offline runner, which the table shows to be equal, the whole.
 LIVE_SECONDS = 15.0
 # Recordings come at 285 Hz twice.
 LIVE_SECONDS_RECORDED = 5.0

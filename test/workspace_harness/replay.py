@@ -7,9 +7,11 @@ offline runner to the last bit.
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from subprocess import TimeoutExpired
 from typing import Any
 
 from bag_tools.bag import BagReader, BagWriter
@@ -20,6 +22,7 @@ from node_core.testing import Process
 
 # The first start of a node after a change compiles its kernels, which takes a minute on a busy machine.
 _START_TIMEOUT = ('--wait-timeout', '300')
+_POLL = 0.5  # s
 
 
 class ReplayError(RuntimeError):
@@ -106,7 +109,7 @@ def live(
                 inherit_stderr=progress,
             )
         )
-        code = player.wait(timeout)
+        code = _wait_for_player(player, [recorder, *nodes], timeout)
         if code != 0:
             said = '\n'.join(p.output for p in (player, recorder, *nodes))
             raise ReplayError(f'{bag.name}: the player ended with {code}:\n{said}')
@@ -114,6 +117,21 @@ def live(
         for process in (recorder, *nodes):
             if process.stop() != 0:
                 raise ReplayError(f'{bag.name}: {process.argv[0]} failed:\n{process.output}')
+
+
+def _wait_for_player(player: Process, others: list[Process], timeout: float) -> int:
+    """Return the player's exit code; raise ReplayError as soon as another process is gone before it."""
+    deadline = time.monotonic() + timeout
+    while True:
+        try:
+            return player.wait(_POLL)
+        except TimeoutExpired:
+            pass
+        for process in others:
+            if not process.running:
+                raise ReplayError(f'{" ".join(process.argv)} ended by itself:\n{process.output}')
+        if time.monotonic() > deadline:
+            raise ReplayError(f'the player is not done within {timeout:g} s:\n{player.output}')
 
 
 def offline_all(bag: Path, estimators: list[Estimator], folder: Path) -> dict[str, OfflineResult]:

@@ -46,14 +46,24 @@ def executable(package: str, name: str) -> str:
     return str(path)
 
 
+def parameter_text(value: Any) -> str:
+    """Return a parameter value as the YAML that rcl reads after ``name:=``."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return '[' + ', '.join(parameter_text(item) for item in value) + ']'
+    if isinstance(value, float) and 'e' in repr(value) and '.' not in repr(value):
+        return repr(value).replace('e', '.0e')  # YAML 1.1 takes 5e-06 for a string
+    return str(value)
+
+
 def ros_arguments(
     params: dict[str, Any] | None = None, remaps: dict[str, str] | None = None, name: str | None = None
 ) -> list[str]:
     """Return the --ros-args of parameters, remaps and a node name."""
     arguments = ['--ros-args']
     for key, value in (params or {}).items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        arguments += ['-p', f'{key}:={text}']
+        arguments += ['-p', f'{key}:={parameter_text(value)}']
     for source, target in (remaps or {}).items():
         arguments += ['-r', f'{source}:={target}']
     if name:

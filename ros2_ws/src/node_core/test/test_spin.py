@@ -4,6 +4,7 @@
 import pytest
 
 from node_core.spin import ros_arguments
+from node_core.testing import parameter_text
 
 
 @pytest.mark.parametrize(
@@ -17,3 +18,11 @@ from node_core.spin import ros_arguments
 )
 def test_ros_flags_work_without_the_ros_args_marker(given, expected):
     assert ros_arguments(given) == expected
+
+
+@pytest.mark.parametrize(
+    ('value', 'text'),
+    [(True, 'true'), (2, '2'), (5e-06, '5.0e-06'), (0.5, '0.5'), ((0.0, 1e-9), '[0.0, 1.0e-09]'), ('a', 'a')],
+)
+def test_parameter_values_are_written_as_rcl_reads_them(value, text):
+    assert parameter_text(value) == text

@@ -69,7 +69,7 @@ def make(folder: Path, names: list[str]) -> dict[str, manifest.Entry]:
 def check(folder: Path, names: list[str]) -> list[str]:
     """Make the fixtures anew; return one line for each that differs from the recorded one.
 
-    On the machine that recorded them they are equal to the last bit; elsewhere mathematics libraries may round
+    On the machine that recorded them they are equal to the last bit; elsewhere libraries may round
     otherwise, which _ROUNDING allows for.
     """
     problems = manifest.verify(folder)

@@ -39,15 +39,20 @@ class EpochBuilder:
         leap: int = 0,
     ) -> None:
         self.ephemerides = ephemerides
-        known = coefficients is not None and np.isfinite(coefficients).all()
-        self._klobuchar = np.asarray(coefficients if known else DEFAULT_KLOBUCHAR, dtype=float)
+        self._klobuchar = DEFAULT_KLOBUCHAR
+        self.use_klobuchar(coefficients)
         self._atmosphere = atmosphere
-        self._leap = leap
+        self.leap = leap
         self._locks: dict[tuple[int, int, int], tuple[float, float]] = {}
         self._interval = 1.0
         self._last: float | None = None
         self.position: np.ndarray | None = None
         self.missing: set[tuple[int, int]] = set()
+
+    def use_klobuchar(self, coefficients: np.ndarray | None) -> None:
+        """Take broadcast coefficients (8,) from now on; None or NaN: go on with those in use."""
+        if coefficients is not None and np.isfinite(coefficients).all():
+            self._klobuchar = np.asarray(coefficients, dtype=float)
 
     def build(self, raw: RawEpoch) -> GnssEpoch:
         """Return the epoch with satellite states, modelled delays and lock times."""
@@ -63,7 +68,7 @@ class EpochBuilder:
             self._orbit(row, time)
         if self._atmosphere:
             self._delays(rows, time)
-        stamp = raw.time + (GPS_EPOCH_UNIX - self._leap) * NANOSECONDS
+        stamp = raw.time + (GPS_EPOCH_UNIX - self.leap) * NANOSECONDS
         return GnssEpoch(stamp, rows)
 
     def _lock(self, row: np.ndarray, time: float) -> float:

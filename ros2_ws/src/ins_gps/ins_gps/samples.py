@@ -115,6 +115,18 @@ class FixEstimate(NamedTuple):
     covariance: np.ndarray
 
 
+class ReceiverFix(NamedTuple):
+    """A receiver's own fix: geodetic (rad, rad, m), covariance (3, 3) in ENU, m^2.
+
+    status as in NavSatStatus: -1 no fix, 0 fix, 2 with differential corrections.
+    """
+
+    stamp: int
+    geodetic: np.ndarray
+    covariance: np.ndarray
+    status: int
+
+
 class BiasEstimate(NamedTuple):
     """Accelerometer (m/s²) and gyro bias (rad/s), forward-right-down, clock (m), drift (m/s); σ of all."""
 

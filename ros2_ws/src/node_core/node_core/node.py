@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import heapq
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from kalman_core.parameters import parameter
@@ -27,6 +29,8 @@ from node_core.ros_parameters import NodeParameters
 DIAGNOSTICS_PERIOD = 1.0  # s, the rate that diagnostic_aggregator expects
 # A clock that goes back by more than this is a bag that loops, not a correction by NTP.
 _BACKWARD_JUMP = -0.5  # s
+# How often an estimator looks for a backlog: far below any lag window, and too seldom to cost anything.
+_BACKLOG_INTERVAL = 20_000_000  # ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +66,7 @@ class WorkspaceNode(Node):
         self.queue_depth: int = common.queue_depth
         self._acknowledger = Acknowledger(self) if common.lockstep else None
         self._downgrades: list[Callable[[], None]] = []
+        self._subscribed: dict[str, Subscription] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # Diagnostics must go on while simulated time stands still.
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -95,7 +100,7 @@ class WorkspaceNode(Node):
         def downgrade() -> None:
             self.destroy_subscription(subscription)
             best_effort = QoSProfile(depth=self.queue_depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-            self.create_subscription(cls, topic, callback, best_effort)
+            self._subscribed[topic] = self.create_subscription(cls, topic, callback, best_effort)
             self.get_logger().info(f"'{topic}': a publisher offers best effort only; subscribed so")
 
         def incompatible(_event: Any) -> None:
@@ -105,6 +110,7 @@ class WorkspaceNode(Node):
 
         events = SubscriptionEventCallbacks(incompatible_qos=incompatible)
         subscription = self.create_subscription(cls, topic, callback, qos, event_callbacks=events)
+        self._subscribed[topic] = subscription
 
     def _tick(self) -> None:
         for downgrade in self._downgrades:
@@ -143,12 +149,52 @@ class EstimatorNode(WorkspaceNode):
             ),
             post_callback=self._on_time_jump,
         )
+        self._steps = {port.topic: self._feed(port) for port in ports.inputs}
+        self._backlog_sought = 0
         for port in ports.inputs:
-            self.listen(port.type, port.topic, self._feed(port))
+            self.listen(port.type, port.topic, self._receive(port.topic))
 
     def _publisher_of(self, output: Output) -> tuple[Any, Any, Any]:
         publisher, message = self.publish_to(output.type, output.topic, latched=output.latched)
         return publisher.publish, output.encode, message
+
+    def _receive(self, topic: str) -> Callable[[Any], None]:
+        """Return the callback of `topic`: its step, after older messages that wait on other topics.
+
+        The executor takes one message per topic and turn. After a stall a 1 Hz sensor would so overtake a
+        200 Hz one by the whole backlog, which a filter has to take for a jump of the clock. In lock-step at
+        most one message is under way.
+        """
+        step = self._steps[topic]
+        if self._acknowledger is not None or len(self._steps) == 1:
+            return step
+        clock = time.monotonic_ns
+
+        def callback(message: Any) -> None:
+            if clock() - self._backlog_sought < _BACKLOG_INTERVAL:
+                step(message)
+                return
+            for _, waiting_topic, waiting in heapq.merge(
+                *(self._waiting(other, message if other == topic else None) for other in self._steps),
+                key=lambda entry: entry[0],
+            ):
+                self._steps[waiting_topic](waiting)
+            self._backlog_sought = clock()
+
+        return callback
+
+    def _waiting(self, topic: str, message: Any) -> Iterator[tuple[tuple[int, int], str, Any]]:
+        """Yield (stamp, topic, message) of what waits on `topic`, after `message` if one is taken already."""
+        subscription = self._subscribed[topic]
+        for _ in range(self.queue_depth):
+            if message is not None:
+                stamp = message.header.stamp
+                yield (stamp.sec, stamp.nanosec), topic, message
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                return
+            message = taken[0]
 
     def _feed(self, port: Input) -> Callable[[Any], None]:
         feed = self.driver.feed

@@ -10,7 +10,7 @@ from workspace_harness.systems import fixtures
 from bag_tools.bag import BagReader, BagWriter
 from bag_tools.content import compare
 
-SECONDS = 5.0
+SECONDS = 3.0
 
 
 def jobs(bags):

@@ -99,7 +99,7 @@ def topic_hz(node: Node, arguments) -> int:
         del arrivals[: -arguments.window]
         gaps = [b - a for a, b in itertools.pairwise(arrivals)]
         if not gaps:
-            print('no new messages')
+            print('no new messages', flush=True)
             continue
         mean = statistics.fmean(gaps)
         print(f'average rate: {1.0 / mean:.3f}')

@@ -25,7 +25,13 @@ setup(
     entry_points={
         'console_scripts': [
             f'{node} = {package_name}.nodes.{node}:main'
-            for node in ('fusion_estimator', 'velocity_estimator')
+            for node in (
+                'can_driver',
+                'fusion_estimator',
+                'gps_driver',
+                'vehicle_simulator',
+                'velocity_estimator',
+            )
         ]
     },
 )

@@ -25,7 +25,14 @@ setup(
     entry_points={
         'console_scripts': [
             f'{node} = {package_name}.nodes.{node}:main'
-            for node in ('ins_gps_estimator', 'uav_simulator', 'rinex_driver', 'dgps_base', 'input_doctor')
+            for node in (
+                'ins_gps_estimator',
+                'uav_simulator',
+                'rinex_driver',
+                'ublox_driver',
+                'dgps_base',
+                'input_doctor',
+            )
         ]
     },
 )

@@ -14,7 +14,7 @@ import numpy as np
 from ins_gps.dgps import DgpsBase
 from ins_gps.estimator import InsGpsEstimator, warm
 from ins_gps.odometry import ENU_NED, FLIP, odometry_values
-from ins_gps.params import BaseParams, FilterParams
+from ins_gps.params import BaseParams, FilterParams, RinexParams, SimulatorParams, UbloxParams
 from ins_gps.samples import (
     CORRECTION_FIELDS,
     OBSERVATION_FIELDS,
@@ -25,6 +25,7 @@ from ins_gps.samples import (
     ImuSample,
     NavigationEstimate,
     PositionSample,
+    ReceiverFix,
     SettledEstimate,
     VelocitySample,
 )
@@ -198,6 +199,15 @@ def encode_fix(estimate: FixEstimate, message: Any) -> None:
     message.position_covariance_type = _COVARIANCE_KNOWN
 
 
+def encode_receiver_fix(sample: ReceiverFix, message: Any, frame: str = 'gnss') -> None:
+    """Fill a NavSatFix of the antenna; without a fix the covariance is unknown."""
+    encode_fix(FixEstimate(sample.stamp, sample.geodetic, sample.covariance), message)
+    message.header.frame_id = frame
+    message.status.status = sample.status
+    if sample.status < 0:
+        message.position_covariance_type = _COVARIANCE_UNKNOWN
+
+
 def encode_biases(estimate: BiasEstimate, message: Any) -> None:
     """Fill a TwistWithCovarianceStamped: linear accelerometer bias (m/s²), angular gyro bias (rad/s)."""
     set_stamp(message.header, estimate.stamp)
@@ -238,3 +248,9 @@ BASE_PORTS = Ports(
 )
 
 ESTIMATORS = {ports.name: ports for ports in (INS_GPS_PORTS, BASE_PORTS)}
+
+NODE_PARAMETERS = {
+    'uav_simulator': SimulatorParams,
+    'rinex_driver': RinexParams,
+    'ublox_driver': UbloxParams,
+}

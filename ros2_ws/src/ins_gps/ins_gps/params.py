@@ -174,3 +174,33 @@ class RinexParams:
     atmosphere: bool = parameter(True, 'model ionosphere (Klobuchar) and troposphere (Saastamoinen)')
     speed: float = parameter(1.0, 'times real time', minimum=0.01, maximum=1000.0)
     frame: str = parameter('gnss', 'frame id of the antenna')
+
+
+@dataclass(frozen=True, slots=True)
+class UbloxParams:
+    """A u-blox receiver that sends RXM-RAWX, RXM-SFRBX and, for `fix_topic`, NAV-PVT."""
+
+    source: str = parameter('', 'file, serial port (/dev/... or COMn) or tcp://HOST:PORT')
+    baud: int = parameter(460_800, 'of a serial port', unit='Bd', minimum=1200, maximum=10_000_000)
+    reconnect_time: float = parameter(
+        1.0, 'wait before a lost port or server is opened again', unit='s', minimum=0.05, maximum=60.0
+    )
+    bands: str = parameter(
+        'first', 'first: L1 and E1; all: L2, L5, E5a and E5b too', choices=('first', 'all')
+    )
+    topic: str = parameter('gnss/observations', 'where the epochs go')
+    fix_topic: str = parameter('gnss/fix', "where the receiver's own fixes go")
+    time_scale: str = parameter(
+        'utc', 'header stamps: UTC, or GPS time written as Unix seconds', choices=('gps', 'utc')
+    )
+    leap_seconds: int = parameter(
+        18, 'GPS minus UTC until the receiver knows it', unit='s', minimum=0, maximum=60
+    )
+    atmosphere: bool = parameter(True, 'model ionosphere (Klobuchar) and troposphere (Saastamoinen)')
+    speed: float = parameter(1.0, 'of a file, times real time', minimum=0.01, maximum=1000.0)
+    frame: str = parameter('gnss', 'frame id of the antenna')
+
+    @property
+    def band_numbers(self) -> tuple[int, ...]:
+        """RINEX bands as numbers."""
+        return (1,) if self.bands == 'first' else (1, 2, 5, 7)

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from ins_gps.params import BaseParams, FilterParams, RinexParams, SimulatorParams
+from ins_gps.params import BaseParams, FilterParams, RinexParams, SimulatorParams, UbloxParams
 from kalman_core.parameters import ParameterError, build, default_yaml
 
 NODES = {
@@ -11,6 +11,7 @@ NODES = {
     'dgps_base': BaseParams,
     'uav_simulator': SimulatorParams,
     'rinex_driver': RinexParams,
+    'ublox_driver': UbloxParams,
 }
 
 

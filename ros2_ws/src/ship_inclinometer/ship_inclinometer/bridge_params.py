@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import ipaddress
+import re
 from dataclasses import dataclass
 
-from kalman_core.parameters import parameter
+from kalman_core.parameters import ParameterError, parameter
 
 LOG_FILE = '~/.ros/ship_inclinometer/events.db'
 
@@ -31,6 +33,15 @@ class ModbusParams:
     settings_file: str = parameter('~/.ros/ship_inclinometer/settings.json', 'where settings are saved')
     event_log: str = parameter(LOG_FILE, 'event log')
 
+    def __post_init__(self) -> None:
+        for network in self.tcp_allowed.split():
+            try:
+                ipaddress.ip_network(network, strict=False)
+            except ValueError:
+                raise ParameterError(
+                    f"parameter 'tcp_allowed' has {network!r}, allowed: addresses or networks like 10.0.0.0/8"
+                ) from None
+
 
 @dataclass(frozen=True)
 class NmeaParams:
@@ -43,6 +54,12 @@ class NmeaParams:
     serial: str = parameter('', 'serial device; empty: none')
     baudrate: int = parameter(38400, 'baud rate', unit='Bd', minimum=1200, maximum=115200)
     true_heading: bool = parameter(True, 'the heading is true (declination is set): HDT and THS are sent')
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch('[A-Z][A-Z]|U[0-9]', self.talker):
+            raise ParameterError(
+                f"parameter 'talker' is {self.talker!r}, allowed: two capitals like II, or U0 … U9"
+            )
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,8 @@ class RtuServer:
         self, device: ModbusDevice, path: str, baudrate: int = 19200, parity: str = 'E', echo: bool = False
     ) -> None:
         if baudrate not in _BAUDS:
-            raise ValueError(f'baud rate {baudrate}, allowed: {", ".join(map(str, sorted(_BAUDS)))}')
+            listed = ', '.join(map(str, sorted(_BAUDS)))
+            raise ValueError(f"parameter 'baudrate' is {baudrate}, allowed: {listed}")
         self._device = device
         self._path = path
         self._baudrate = baudrate

@@ -140,3 +140,12 @@ def scenario(name: str, **changes) -> SimulatorParams:
     if name not in SCENARIOS:
         raise ParameterError(f"unknown scenario '{name}'; known: {', '.join(SCENARIOS)}")
     return replace(SCENARIOS[name], **changes)
+
+
+@dataclass(frozen=True)
+class PlayParams:
+    """What is played."""
+
+    scenario: str = parameter('beam', 'named sea, ship and sensors', choices=tuple(SCENARIOS))
+    seed: int = parameter(0, 'seed of the first run; each further run takes the next', minimum=0)
+    speed: float = parameter(1.0, 'time goes this much faster', minimum=0.01, maximum=100.0)

@@ -34,6 +34,7 @@ class Hmc5883lNode(WorkspaceNode):
     def __init__(self) -> None:
         super().__init__('hmc5883l_driver', Hmc5883lParams)
         self.exit_code = 0
+        self._said = ''
         self._params: Hmc5883lParams = self.parameters[Hmc5883lParams]
         clock = self.get_clock()
         self.driver = Hmc5883lDriver(
@@ -72,6 +73,11 @@ class Hmc5883lNode(WorkspaceNode):
         """Report the driver's state."""
         values = self.driver.diagnostics()
         level, text = _LEVELS[values.pop('level')], values.pop('message')
+        if text != self._said:
+            (self.get_logger().info if level == OK else self.get_logger().warning)(
+                f'{self._params.bus}: {text}'
+            )
+            self._said = text
         name = self.get_fully_qualified_name().lstrip('/')
         return DiagnosticArray(status=[status(name, level, text, values)])
 

@@ -65,13 +65,21 @@ class ModbusNode(WorkspaceNode):
                 TcpServer(self.device, p.tcp_host, p.tcp_port, p.tcp_allowed.split(), self._refused)
             )
         if p.serial:
-            servers.append(RtuServer(self.device, p.serial, p.baudrate, p.parity, p.local_echo))
+            try:
+                servers.append(RtuServer(self.device, p.serial, p.baudrate, p.parity, p.local_echo))
+            except ValueError as error:
+                raise ParameterError(str(error)) from error
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         for server in servers:
             try:
                 asyncio.run_coroutine_threadsafe(server.start(), self._loop).result()
             except Exception as error:  # OSError, termios.error: whatever the operating system says
-                raise ParameterError(f'{type(server).__name__}: {error}') from error
+                where = (
+                    f"parameter 'serial' is {p.serial!r}"
+                    if isinstance(server, RtuServer)
+                    else f'Modbus TCP on {p.tcp_host}:{p.tcp_port}'
+                )
+                raise ParameterError(f'{where}: {error}') from error
         return servers
 
     def destroy_node(self) -> None:

@@ -44,7 +44,9 @@ class NmeaNode(WorkspaceNode):
         try:
             file = os.open(path, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
             configure(file, self._params.baudrate, 'N')
-        except (OSError, KeyError, termios.error) as error:
+        except KeyError as error:
+            raise ParameterError(f"parameter 'baudrate' is {error}, not a rate of serial lines") from error
+        except (OSError, termios.error) as error:
             raise ParameterError(f"parameter 'serial' is {path!r}: {error}") from error
         return file
 

@@ -4,22 +4,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from typing import Any
 
-from kalman_core.parameters import ParameterError, parameter
+from kalman_core.parameters import ParameterError
 from node_core.node import WorkspaceNode
 from ship_inclinometer.recording import TYPES, events, fill
-from ship_inclinometer.simulation import SCENARIOS, SimulatorParams, scenario, simulate
-
-
-@dataclass(frozen=True)
-class PlayParams:
-    """What is played."""
-
-    scenario: str = parameter('beam', 'named sea, ship and sensors', choices=tuple(SCENARIOS))
-    seed: int = parameter(0, 'seed of the first run; each further run takes the next', minimum=0)
-    speed: float = parameter(1.0, 'time goes this much faster', minimum=0.01, maximum=100.0)
+from ship_inclinometer.simulation import SimulatorParams, scenario, simulate
+from ship_inclinometer.simulation_params import PlayParams
 
 
 class ShipSimulatorNode(WorkspaceNode):

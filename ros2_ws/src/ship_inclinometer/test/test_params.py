@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+import pytest
+
+from kalman_core.parameters import ParameterError
+from ship_inclinometer.bridge_params import ModbusParams, NmeaParams
+
+
+@pytest.mark.parametrize('allowed', ['', '10.1.2.3', '10.0.0.0/8 ::1/128', '10.0.0.1/8'])
+def test_networks_that_may_connect_are_addresses_or_prefixes(allowed):
+    assert ModbusParams(tcp_allowed=allowed).tcp_allowed == allowed
+
+
+@pytest.mark.parametrize('allowed', ['nonsense', '10.0.0.0/33', '127.0.0.1,127.0.0.2'])
+def test_what_is_no_network_is_refused_by_the_name_of_its_parameter(allowed):
+    with pytest.raises(ParameterError, match='tcp_allowed'):
+        ModbusParams(tcp_allowed=allowed)
+
+
+@pytest.mark.parametrize('talker', ['', 'I', 'ii', 'III', 'I,', 'ÄÖ', 'A1'])
+def test_a_talker_that_would_spoil_the_sentence_is_refused(talker):
+    with pytest.raises(ParameterError, match='talker'):
+        NmeaParams(talker=talker)

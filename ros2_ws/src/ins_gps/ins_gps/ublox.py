@@ -52,6 +52,7 @@ _BANDS = {
     (GPS, 0): 1, (GPS, 3): 2, (GPS, 4): 2, (GPS, 6): 5, (GPS, 7): 5,
     (GALILEO, 0): 1, (GALILEO, 1): 1, (GALILEO, 3): 5, (GALILEO, 4): 5, (GALILEO, 5): 7, (GALILEO, 6): 7,
 }  # fmt: skip
+_FARTHEST = 1e8  # m, three times a real pseudorange: beyond, the clock or the cell is broken
 _INAV_SIGNALS = (1, 5)  # E1-B and E5b-I
 _MILLISECOND = 1e-3  # s, resolution of the lock time
 _FIX_TYPES = (2, 3, 4)  # 2-D, 3-D, with dead reckoning
@@ -148,7 +149,7 @@ class RawxReader:
         band = _BANDS.get((system, signal))
         if band is None or band not in self._bands:
             return None
-        code = code if tracking & _CODE_VALID and math.isfinite(code) and code > 0.0 else math.nan
+        code = code if tracking & _CODE_VALID and 0.0 < code < _FARTHEST else math.nan
         phase = phase if tracking & _PHASE_VALID and math.isfinite(phase) and phase != 0.0 else math.nan
         if math.isnan(code) and math.isnan(phase):
             return None

@@ -84,6 +84,13 @@ def test_slips_follow_from_lock_time_and_half_cycles(later, loss):
     assert second.rows[0, 7] == loss
 
 
+@pytest.mark.parametrize('code', [float('nan'), float('inf'), -1.0, 0.0, 1e300])
+def test_a_range_that_cannot_be_is_not_measured(code):
+    (epoch,) = read(rawx(1.0, {'prMes': code}))
+    assert np.isnan(epoch.rows[0, 3])
+    assert epoch.rows[0, 4] == 1.15e8
+
+
 def test_a_lock_shorter_than_the_gap_is_a_slip_even_when_it_grew():
     first, second = read(rawx(100.0, {'locktime': 1000}), rawx(110.0, {'locktime': 5000}))
     assert (first.rows[0, 7], second.rows[0, 7]) == (0, 1)

@@ -74,9 +74,11 @@ class Hmc5883lNode(WorkspaceNode):
         values = self.driver.diagnostics()
         level, text = _LEVELS[values.pop('level')], values.pop('message')
         if text != self._said:
-            (self.get_logger().info if level == OK else self.get_logger().warning)(
-                f'{self._params.bus}: {text}'
-            )
+            # A call site of rclpy's logger keeps its severity.
+            if level == OK:
+                self.get_logger().info(f'{self._params.bus}: {text}')
+            else:
+                self.get_logger().warning(f'{self._params.bus}: {text}')
             self._said = text
         name = self.get_fully_qualified_name().lstrip('/')
         return DiagnosticArray(status=[status(name, level, text, values)])

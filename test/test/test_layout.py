@@ -57,6 +57,17 @@ def test_what_the_offline_runner_needs_imports_no_ros():
         assert 'rclpy' not in imported(SOURCE / 'node_core' / 'node_core' / f'{name}.py')
 
 
+@pytest.mark.parametrize('package', PACKAGES)
+def test_every_node_is_an_executable(package):
+    setup = (SOURCE / package / 'setup.py').read_text()
+    named = {node.value for node in ast.walk(ast.parse(setup)) if isinstance(node, ast.Constant)}
+    entries = {str(value).split(' = ')[0] for value in named}
+    nodes = {
+        p.stem for p in (SOURCE / package / package / 'nodes').glob('*.py') if 'def main(' in p.read_text()
+    }
+    assert not nodes - entries
+
+
 def test_every_source_file_names_its_licence():
     files = [
         *MODULES,

@@ -66,12 +66,17 @@ def main() -> int:
         return package.run(arguments.package, arguments.executable, arguments.argv)
     if arguments.command == 'pkg':
         return getattr(package, f'pkg_{arguments.verb}')(arguments)
+    from rclpy.executors import ExternalShutdownException
+
     from ros2_standin import graph, parameters, topics
 
     modules = {'node': graph, 'service': graph, 'topic': topics, 'param': parameters}
     verb = getattr(modules[arguments.command], f'{arguments.command}_{arguments.verb}')
-    with graph.temporary_node() as node:
-        return verb(node, arguments)
+    try:
+        with graph.temporary_node() as node:
+            return verb(node, arguments)
+    except ExternalShutdownException:
+        return 0
 
 
 if __name__ == '__main__':

@@ -27,8 +27,6 @@ def temporary_node() -> Iterator[Node]:
     try:
         _discover(node)
         yield node
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        pass
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

@@ -63,6 +63,8 @@ class CanDriverNode(WorkspaceNode):
         except CanError as error:
             self._state = str(error)
             return
+        if self._stopping.is_set():
+            return
         self._over = True
         self._state = 'the log is over'
         self.get_logger().info(self._state)

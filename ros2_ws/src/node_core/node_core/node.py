@@ -143,7 +143,8 @@ class EstimatorNode(WorkspaceNode):
         self._restarts_logged = 0
         self.parameters.on_change(self._parameters_changed)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self.get_clock().create_jump_callback(
+        # Kept: the clock holds only a bare pointer to the handle, and calls into freed memory without it.
+        self._jump_handle = self.get_clock().create_jump_callback(
             JumpThreshold(
                 min_forward=None, min_backward=Duration(seconds=_BACKWARD_JUMP), on_clock_change=False
             ),

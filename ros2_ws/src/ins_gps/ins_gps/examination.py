@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,9 @@ def examine(path: str | Path, imu_topic: str, gnss_topic: str) -> list[Finding]:
     epochs: list[GnssEpoch] = []
     refused: dict[str, int] = {}
     with BagReader(path) as bag:
-        names = {bag.topic(imu_topic).name: (codec.decode_imu, imu, codec.IMU)}
+        names: dict[str, tuple[Any, list[Any], str]] = {
+            bag.topic(imu_topic).name: (codec.decode_imu, imu, codec.IMU)
+        }
         names[bag.topic(gnss_topic).name] = (codec.decode_observations, epochs, codec.CLOUD)
         for topic, _, data in bag.messages(list(names)):
             decode, samples, type_name = names[topic]

@@ -35,7 +35,8 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                     fields.append(decode_mag(message).field)
             except BadMessage:
                 continue
-    return tuple(np.reshape(np.array(rows, dtype=np.float64), (-1, 3)) for rows in (rates, forces, fields))
+    rate, force, field = (np.reshape(np.array(r, dtype=np.float64), (-1, 3)) for r in (rates, forces, fields))
+    return rate, force, field
 
 
 def command(arguments: list[str]) -> int:

@@ -39,7 +39,8 @@ class ModbusNode(WorkspaceNode):
             self._log = EventLog(Path(self._params.event_log).expanduser())
         except (SettingsError, LogError) as error:
             raise ParameterError(str(error)) from error
-        self._picture, self._alarms = Picture(), {}
+        self._picture = Picture()
+        self._alarms: dict[str, Any] = {}
         self._stopped = False
         self.device = ModbusDevice(
             self._params.unit, self, self._params.unlock_key, self._params.unlock_time, settings

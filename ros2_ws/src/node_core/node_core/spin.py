@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import gc
+import os
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -35,6 +37,9 @@ def run(build: Callable[[], Any], argv: list[str] | None = None) -> int:
     `build` does its imports itself: loading compiled kernels takes a second, and Ctrl-C in that second has
     to be as clean as later. A node may have ``exit_code`` to end with another code than 0.
     """
+    # Nothing has to be cleaned up before rclpy is there, and an interrupted import of a compiled module does
+    # not always surface as KeyboardInterrupt.
+    signal.signal(signal.SIGINT, lambda _number, _frame: os._exit(0))
     try:
         return _run(build, sys.argv if argv is None else argv)
     except KeyboardInterrupt:
@@ -49,25 +54,29 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
 
     from kalman_core.parameters import ParameterError
 
+    # rclpy calls the handler that it finds, which has to be Python's own.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         rclpy.init(args=ros_arguments(argv))
     except (RCLError, RuntimeError) as error:
         return fail(_one_line(error))
     node = None
     try:
+        executor = SingleThreadedExecutor()
         node = build()
         # The kernels and message types live as long as the process: the collector need not walk them.
         gc.collect()
         gc.freeze()
-        executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin()
-    except (ParameterError, ParameterException, RCLError) as error:
-        if not rclpy.ok():  # Ctrl-C while the node was being made
-            return 0
-        return fail(_one_line(error))
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception as error:
+        if not rclpy.ok():  # Ctrl-C while the node was being made: whatever call met it failed in its own way
+            return 0
+        if isinstance(error, ParameterError | ParameterException | RCLError):
+            return fail(_one_line(error))
+        raise
     finally:
         if node is not None:
             node.destroy_node()

@@ -45,7 +45,7 @@ def read_inputs(port):
 
 
 def test_a_simulated_ship_reaches_the_modbus_registers(tmp_path):
-    domain, port = 90 + os.getpid() % 100, free_port()
+    domain, port = 1 + os.getpid() % 100, free_port()
     log = ('-p', f'event_log:={tmp_path}/events.db')
     settings = ('-p', f'settings_file:={tmp_path}/settings.json')
     nodes = [
@@ -85,7 +85,7 @@ def test_a_simulated_ship_reaches_the_modbus_registers(tmp_path):
 
 @pytest.mark.parametrize('node', NODES)
 def test_an_unknown_parameter_ends_a_node_with_one_line_and_code_2(node):
-    process = start(node, '--ros-args', '-p', 'no_such_thing:=1', domain=90 + os.getpid() % 100)
+    process = start(node, '--ros-args', '-p', 'no_such_thing:=1', domain=1 + os.getpid() % 100)
     _, error = process.communicate(timeout=90)
     assert process.returncode == 2
     assert error.count('\n') == 1

@@ -58,7 +58,7 @@ class DisplayNode(WorkspaceNode):
 
     def destroy_node(self) -> None:
         """Stop serving."""
-        asyncio.run_coroutine_threadsafe(self._runner.cleanup(), self._loop).result(5.0)
+        asyncio.run_coroutine_threadsafe(self._runner.cleanup(), self._loop).result(10.0)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._log.close()
         super().destroy_node()

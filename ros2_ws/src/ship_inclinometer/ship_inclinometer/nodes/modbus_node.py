@@ -27,6 +27,10 @@ from ship_inclinometer.samples import DEGRADED, INVALID, VALID
 from ship_inclinometer.settings_file import SettingsError, load_settings, save_settings
 
 
+# Closing sockets takes milliseconds, on a stalled machine seconds.
+_STOP_LIMIT = 10.0  # s
+
+
 class ModbusNode(WorkspaceNode):
     """Serves the register map; its device calls `record`, `command`, `changed` and `save` from the bus."""
 
@@ -86,7 +90,11 @@ class ModbusNode(WorkspaceNode):
     def destroy_node(self) -> None:
         """Stop the servers, log the stop."""
         for server in self._servers:
-            asyncio.run_coroutine_threadsafe(server.stop(), self._loop).result(2.0)
+            try:
+                asyncio.run_coroutine_threadsafe(server.stop(), self._loop).result(_STOP_LIMIT)
+            except TimeoutError:
+                # The process ends in any case and takes the sockets along; the log still has to be closed.
+                self.get_logger().warning(f'a server did not stop within {_STOP_LIMIT:g} s')
         self._loop.call_soon_threadsafe(self._loop.stop)
         self.record('stop', 'modbus_bridge', 'stopped')
         self._log.close()

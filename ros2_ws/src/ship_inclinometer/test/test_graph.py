@@ -56,7 +56,7 @@ def test_a_simulated_ship_reaches_the_modbus_registers(tmp_path):
         start('ship_simulator', '--ros-args', '-p', 'gyro_bias:=0.0', '-p', 'duration:=120.0', domain=domain),
     ]
     try:
-        deadline = 400
+        deadline = 1500
         words = None
         for _ in range(deadline):
             try:

@@ -26,7 +26,6 @@ from ship_inclinometer.modbus_server import RtuServer, TcpServer
 from ship_inclinometer.samples import DEGRADED, INVALID, VALID
 from ship_inclinometer.settings_file import SettingsError, load_settings, save_settings
 
-
 # Closing sockets takes milliseconds, on a stalled machine seconds.
 _STOP_LIMIT = 10.0  # s
 

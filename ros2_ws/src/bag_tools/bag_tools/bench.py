@@ -34,12 +34,14 @@ _SIGNIFICANT = 6
 class Options:
     """How much to measure: `seeds` overrides the number of seeds, `quick` asks for a smoke run.
 
-    `live` false leaves out what runs processes against the clock and so needs an idle machine.
+    `live` false leaves out what runs processes against the clock and so needs an idle machine, `still` false
+    leaves out all else.
     """
 
     seeds: int | None = None
     quick: bool = False
     live: bool = True
+    still: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +254,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument('packages', nargs='*', metavar='PACKAGE', help='default: all that have a benchmark')
     parser.add_argument('--seeds', type=int, help='number of seeds instead of that of the bars')
     parser.add_argument('--quick', action='store_true', help=f'smoke run, stored in {QUICK_RESULTS} only')
-    parser.add_argument('--no-live', action='store_true', help='leave out rows that need an idle machine')
+    clocked = parser.add_mutually_exclusive_group()
+    clocked.add_argument('--no-live', action='store_true', help='leave out rows that need an idle machine')
+    clocked.add_argument('--only-live', action='store_true', help='measure those rows only')
     parser.add_argument('--strict', action='store_true', help='exit code 1 when a bar is missed')
     parser.add_argument(
         '--prune', action='store_true', help='drop stored rows that are not measured any more'
@@ -261,11 +265,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if asked.seeds is not None and asked.seeds < 1:
             raise BenchError(f'--seeds is {asked.seeds}, expected 1 or more')
+        if asked.prune and (asked.no_live or asked.only_live):
+            raise BenchError('--prune needs all rows to be measured: leave out --no-live and --only-live')
         root = project_root()
         packages, without = choose_packages(root, asked.packages)
         for package in without:
             print(f'{package} has no bench/bench.py', file=sys.stderr)
-        rows, whole = _run(root, packages, Options(asked.seeds, asked.quick, not asked.no_live), asked.prune)
+        options = Options(asked.seeds, asked.quick, live=not asked.no_live, still=not asked.only_live)
+        rows, whole = _run(root, packages, options, asked.prune)
     except BenchError as error:
         print(f'bench: {error}', file=sys.stderr)
         return 2

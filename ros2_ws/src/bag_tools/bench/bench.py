@@ -67,6 +67,8 @@ def _seconds(work, *arguments) -> float:
 
 def measure(options: Options) -> Iterable[Row]:
     """Measure the ratio for the estimators of imu_kalman; the median over rounds that alternate."""
+    if not options.live:
+        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         count = _make_bag(folder / 'in', 20 if options.quick else 60)

@@ -14,7 +14,8 @@ from bag_tools.bench import Options, Row
 
 def measure(options: Options) -> Iterable[Row]:
     """Measure the simulated drives, the recordings if they are there, and the live nodes."""
-    yield from ev_synthetic.rows(options)
-    yield from ev_recorded.rows(options)
+    if options.still:
+        yield from ev_synthetic.rows(options)
+        yield from ev_recorded.rows(options)
     if options.live:
         yield from ev_live.rows(options)

@@ -19,10 +19,11 @@ from lockstep import lockstep_rows
 
 def measure(options: Options) -> Iterable[Row]:
     """Measure the simulations, the recordings if they are there, and the live graph."""
-    yield from imu_synthetic.two_state_rows(options)
-    yield from imu_synthetic.ship_rows(options)
-    yield from imu_synthetic.honesty_rows(options)
-    yield from imu_recorded.recorded_rows(options)
+    if options.still:
+        yield from imu_synthetic.two_state_rows(options)
+        yield from imu_synthetic.ship_rows(options)
+        yield from imu_synthetic.honesty_rows(options)
+        yield from imu_recorded.recorded_rows(options)
     if options.live:
         yield from lockstep_rows(options)
         yield from live_rows(options)

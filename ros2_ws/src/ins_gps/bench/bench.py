@@ -270,5 +270,7 @@ def _speed(options: Options) -> Iterable[Row]:
 
 def measure(options: Options) -> Iterable[Row]:
     """Yield every row, the quick ones first."""
-    for part in (_speed, _recordings, _doctor, _faults, _outages, _accuracy, _ablation, _paper):
+    clocked = (_speed,) if options.live else ()
+    still = (_recordings, _doctor, _faults, _outages, _accuracy, _ablation, _paper) if options.still else ()
+    for part in clocked + still:
         yield from part(options)

@@ -112,9 +112,13 @@ def consistency_row(seeds: int) -> Row:
 def measure(options: Options) -> Iterator[Row]:
     """Yield all rows of the package."""
     seeds = options.seeds or (5 if options.quick else DEFAULT_SEEDS)
-    for kernel, error in largest_errors(seeds).items():
-        name = f'{kernel}: largest relative difference to filterpy'
-        yield Row(PACKAGE, name, error, '', 1e-12, seeds=seeds)
+    if options.still:
+        for kernel, error in largest_errors(seeds).items():
+            name = f'{kernel}: largest relative difference to filterpy'
+            yield Row(PACKAGE, name, error, '', 1e-12, seeds=seeds)
+        yield consistency_row(seeds)
+    if not options.live:
+        return
     steps, runs = (200, 2) if options.quick else (2000, 7)
     for n, m in ((2, 1), (6, 3), (15, 6)):
         yield from speed_rows(n, m, steps, runs)
@@ -123,4 +127,3 @@ def measure(options: Options) -> Iterator[Row]:
     yield Row(PACKAGE, name, 1e6 * overhead(samples), 'µs', 3.0)
     name = 'event-time buffer, a sample 100 ms late at 500 Hz: time a sample'
     yield Row(PACKAGE, name, 1e6 * late_cost(samples // 50), 'µs')
-    yield consistency_row(seeds)

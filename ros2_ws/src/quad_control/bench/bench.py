@@ -40,16 +40,17 @@ _LOOP_GAINS = [f'{axis}_rate_{part}' for axis in ('roll', 'pitch', 'yaw') for pa
 
 def measure(options: Options) -> Iterable[Row]:
     """Yield every row."""
-    seeds = range(options.seeds or (_QUICK if options.quick else _SEEDS))
-    yield from _documented(seeds)
-    yield from _stand(seeds)
-    yield from _rotorpy(seeds)
-    yield from _recorded()
-    yield from _autotune()
-    yield from _revert(seeds)
-    yield from _mixer(seeds)
-    yield from _faults(seeds)
-    yield from _endurance()
+    if options.still:
+        seeds = range(options.seeds or (_QUICK if options.quick else _SEEDS))
+        yield from _documented(seeds)
+        yield from _stand(seeds)
+        yield from _rotorpy(seeds)
+        yield from _recorded()
+        yield from _autotune()
+        yield from _revert(seeds)
+        yield from _mixer(seeds)
+        yield from _faults(seeds)
+        yield from _endurance()
     if options.live:
         yield from _live(options.quick)
 

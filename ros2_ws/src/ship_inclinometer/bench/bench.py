@@ -34,16 +34,17 @@ def row(name: str, value: float, unit: str, bar: float | None = None, **extra) -
 
 def measure(options) -> Iterable[Row]:
     """Yield all rows."""
-    count = options.seeds or (2 if options.quick else 50)
-    seeds = range(count)
-    yield from _sine(seeds)
-    yield from _seas(seeds, options.quick)
-    yield from _turns(seeds)
-    yield from _consistency(seeds)
-    yield from _start(seeds)
-    yield from _roll(range(min(count, 20)))
-    yield from _schedules(range(min(count, 5)))
-    yield from service.sphere_rows()
+    if options.still:
+        count = options.seeds or (2 if options.quick else 50)
+        seeds = range(count)
+        yield from _sine(seeds)
+        yield from _seas(seeds, options.quick)
+        yield from _turns(seeds)
+        yield from _consistency(seeds)
+        yield from _start(seeds)
+        yield from _roll(range(min(count, 20)))
+        yield from _schedules(range(min(count, 5)))
+        yield from service.sphere_rows()
     if options.live:
         yield from service.rows(options.quick)
 

@@ -22,5 +22,5 @@ setup(
     maintainer_email='maintainers@estimator-workspace.invalid',
     description='The launch-free harness: starts node processes, replays bags through the graph, compares.',
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={'console_scripts': ['system = workspace_harness.system:main']},
 )

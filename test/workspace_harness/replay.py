@@ -8,6 +8,7 @@ offline runner to the last bit.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,36 +64,29 @@ def live(
     rate: float | None = None,
     lockstep: bool = True,
     progress: bool = False,
+    composed: bool = False,
+    watch: Callable[[], None] | None = None,
     timeout: float = 1800.0,
 ) -> None:
     """Play `bag` through `estimators` as processes and record all their outputs into `out`.
 
-    `rate` None is as fast as possible. Raises ReplayError when a process ends with another code than 0; all
+    `rate` None is as fast as possible. With `composed` all estimators share one process. `watch` is called
+    now and then while the graph runs. Raises ReplayError when a process ends with another code than 0; all
     processes are gone afterwards in any case.
     """
     topics = [f'/{topic}' for e in estimators for topic in e.outputs.values()]
     pace = ['--fast'] if rate is None else ['--rate', str(rate)]
     step = ['--lockstep'] if lockstep else []
     with ExitStack() as stack:
-        nodes = [
-            stack.enter_context(
-                Process.node(
-                    e.package,
-                    e.name,
-                    params={**e.params, 'lockstep': lockstep},
-                    remaps=e.outputs,
-                    name=e.node,
-                )
-            )
-            for e in estimators
-        ]
+        started = [_composed(estimators, lockstep)] if composed else _separate(estimators, lockstep)
+        nodes = [stack.enter_context(process) for process in started]
         recorder = stack.enter_context(
             Process.node('bag_tools', 'record', str(out), *topics, *step, *_START_TIMEOUT, '--overwrite')
         )
         with BagReader(bag) as reader:
             # Truth and the like need not travel through the graph.
             played = sorted({t for e in estimators for t in e.inputs} & set(reader.topics))
-        waited = ['/recorder', *(f'/{e.node}' for e in estimators)]
+        waited = ['/recorder', *(f'/{e.name if composed else e.node}' for e in estimators)]
         player = stack.enter_context(
             Process.node(
                 'bag_tools',
@@ -109,7 +103,7 @@ def live(
                 inherit_stderr=progress,
             )
         )
-        code = _wait_for_player(player, [recorder, *nodes], timeout)
+        code = _wait_for_player(player, [recorder, *nodes], timeout, watch)
         if code != 0:
             said = '\n'.join(p.output for p in (player, recorder, *nodes))
             raise ReplayError(f'{bag.name}: the player ended with {code}:\n{said}')
@@ -119,14 +113,34 @@ def live(
                 raise ReplayError(f'{bag.name}: {process.argv[0]} failed:\n{process.output}')
 
 
-def _wait_for_player(player: Process, others: list[Process], timeout: float) -> int:
+def _separate(estimators: list[Estimator], lockstep: bool) -> list[Process]:
+    return [
+        Process.node(
+            e.package, e.name, params={**e.params, 'lockstep': lockstep}, remaps=e.outputs, name=e.node
+        )
+        for e in estimators
+    ]
+
+
+def _composed(estimators: list[Estimator], lockstep: bool) -> Process:
+    """Return one process with all estimators, each under its own name: no name may come twice."""
+    own = {f'{e.name}:{key}': value for e in estimators for key, value in e.params.items()}
+    remaps = {f'{e.name}:{topic}': target for e in estimators for topic, target in e.outputs.items()}
+    names = [f'{e.package}/{e.name}' for e in estimators]
+    return Process.node('node_core', 'compose', *names, params={**own, 'lockstep': lockstep}, remaps=remaps)
+
+
+def _wait_for_player(
+    player: Process, others: list[Process], timeout: float, watch: Callable[[], None] | None
+) -> int:
     """Return the player's exit code; raise ReplayError as soon as another process is gone before it."""
     deadline = time.monotonic() + timeout
     while True:
         try:
             return player.wait(_POLL)
         except TimeoutExpired:
-            pass
+            if watch is not None:
+                watch()
         for process in others:
             if not process.running:
                 raise ReplayError(f'{" ".join(process.argv)} ended by itself:\n{process.output}')

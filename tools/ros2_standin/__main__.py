@@ -42,6 +42,9 @@ def _parser() -> argparse.ArgumentParser:
         entry.add_argument('name')
         if verb == 'set':
             entry.add_argument('value')
+    describe = param.add_parser('describe', help='print type, meaning and range of parameters')
+    describe.add_argument('node')
+    describe.add_argument('names', nargs='+')
     param.add_parser('dump', help='print all parameters as YAML').add_argument('node')
 
     service = commands.add_parser('service', help='services').add_subparsers(dest='verb', required=True)

@@ -48,7 +48,7 @@ def _discover(node: Node) -> None:
 def node_names(node: Node) -> list[str]:
     """Return the fully qualified names of all visible nodes."""
     names = [f'{space.rstrip("/")}/{name}' for name, space in node.get_node_names_and_namespaces()]
-    return sorted(name for name in names if not name.rsplit('/', 1)[1].startswith('_'))
+    return sorted(name for name in names if not hidden(name))
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -84,9 +84,16 @@ def node_info(node: Node, arguments) -> int:
     return 0
 
 
+def hidden(name: str) -> bool:
+    """Return whether a topic, service or node is kept out of listings: a part of its name begins with _."""
+    return any(part.startswith('_') for part in name.split('/'))
+
+
 def service_list(node: Node, arguments) -> int:
-    """Print the services."""
+    """Print the services, the stand-in's own and other hidden ones left out."""
     for name, types in sorted(node.get_service_names_and_types()):
+        if hidden(name):
+            continue
         print(f'{name} [{", ".join(types)}]' if arguments.show_types else name)
     return 0
 

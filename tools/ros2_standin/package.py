@@ -45,7 +45,7 @@ def pkg_executables(arguments) -> int:
             for path in _executables(name):
                 print(name, path.name)
     except PackageNotFoundError:
-        print('Package not found', file=sys.stderr)
+        print(f"Package '{arguments.package}' not found", file=sys.stderr)
         return 1
     return 0
 

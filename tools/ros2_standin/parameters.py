@@ -5,7 +5,7 @@ import sys
 
 import yaml
 from rcl_interfaces.msg import Parameter
-from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RclpyParameter
 from rclpy.parameter import parameter_value_to_python
@@ -13,7 +13,7 @@ from rclpy.parameter import parameter_value_to_python
 from ros2_standin.graph import call, node_names, split_name
 
 _LABELS = {
-    0: 'Parameter not set',
+    0: 'Parameter not set.',
     1: 'Boolean value is',
     2: 'Integer value is',
     3: 'Double value is',
@@ -24,6 +24,10 @@ _LABELS = {
     8: 'Double values are',
     9: 'String values are',
 }
+_TYPES = (
+    'not set', 'boolean', 'integer', 'double', 'string',
+    'byte array', 'boolean array', 'integer array', 'double array', 'string array',
+)  # fmt: skip
 
 
 def _names(node: Node, name: str) -> list[str] | None:
@@ -59,11 +63,38 @@ def param_get(node: Node, arguments) -> int:
     response = call(node, GetParameters, f'{name}/get_parameters', request)
     if response is None:
         return _missing(name)
-    if not response.values or response.values[0].type == 0:
-        print('Parameter not set.', file=sys.stderr)
+    if not response.values:
+        print('Parameter not set', file=sys.stderr)
         return 1
     value = response.values[0]
+    if value.type == 0:
+        print(_LABELS[0])
+        return 0
     print(f'{_LABELS[value.type]}: {parameter_value_to_python(value)}')
+    return 0
+
+
+def param_describe(node: Node, arguments) -> int:
+    """Print type, meaning and range of parameters."""
+    name = '/' + arguments.node.lstrip('/')
+    request = DescribeParameters.Request(names=arguments.names)
+    response = call(node, DescribeParameters, f'{name}/describe_parameters', request)
+    if response is None:
+        return _missing(name)
+    for descriptor in response.descriptors:
+        print(f'Parameter name: {descriptor.name}')
+        print(f'  Type: {_TYPES[descriptor.type]}')
+        if descriptor.description:
+            print(f'  Description: {descriptor.description}')
+        print('  Constraints:')
+        if descriptor.read_only:
+            print('    Read only: true')
+        for bounds in (*descriptor.floating_point_range, *descriptor.integer_range):
+            print(f'    Min value: {bounds.from_value}\n    Max value: {bounds.to_value}')
+            if bounds.step:
+                print(f'    Step: {bounds.step}')
+        if descriptor.additional_constraints:
+            print(f'    Additional constraints: {descriptor.additional_constraints}')
     return 0
 
 

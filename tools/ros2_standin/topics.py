@@ -10,12 +10,15 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from ros2_standin.graph import hidden
 from ros2_standin.text import message_class, to_yaml
 
 
 def topic_list(node: Node, arguments) -> int:
     """Print the topics."""
     for name, types in sorted(node.get_topic_names_and_types()):
+        if hidden(name):
+            continue
         print(f'{name} [{", ".join(types)}]' if arguments.show_types else name)
     return 0
 

@@ -22,5 +22,5 @@ setup(
     maintainer_email='maintainers@estimator-workspace.invalid',
     description='The thin layer over rclpy shared by all estimator nodes: ports, parameters, diagnostics, lock-step.',
     license='Apache-2.0',
-    entry_points={'console_scripts': []},
+    entry_points={'console_scripts': ['compose = node_core.compose:main']},
 )

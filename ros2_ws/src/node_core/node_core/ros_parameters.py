@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -49,8 +49,8 @@ def _descriptor(field: dataclasses.Field) -> ParameterDescriptor:
     elif isinstance(field.default, float):
         descriptor.floating_point_range = [
             FloatingPointRange(
-                from_value=float(low) if low is not None else -sys.float_info.max,
-                to_value=float(high) if high is not None else sys.float_info.max,
+                from_value=float(low) if low is not None else -math.inf,
+                to_value=float(high) if high is not None else math.inf,
             )
         ]
     return descriptor

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +33,14 @@ def fail(message: str) -> int:
     return EXIT_USAGE
 
 
+def missing_params_file(argv: list[str]) -> str | None:
+    """Return the first parameter file in `argv` that cannot be opened."""
+    named = (value for flag, value in pairwise(argv) if flag == '--params-file')
+    return next((value for value in named if not os.access(value, os.R_OK)), None)
+
+
 def run(build: Callable[[], Any], argv: list[str] | None = None) -> int:
-    """Build a node and spin it until it is told to stop; return the exit code.
+    """Build a node, or a list of nodes, and spin until told to stop; return the exit code.
 
     `build` does its imports itself: loading compiled kernels takes a second, and Ctrl-C in that second has
     to be as clean as later. A node may have ``exit_code`` to end with another code than 0.
@@ -56,18 +64,23 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
 
     # rclpy calls the handler that it finds, which has to be Python's own.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    missing = missing_params_file(argv)
+    if missing is not None:
+        return fail(f"parameter file '{missing}' cannot be read; expected a YAML file")
     try:
         rclpy.init(args=ros_arguments(argv))
     except (RCLError, RuntimeError) as error:
         return fail(_one_line(error))
-    node = None
+    nodes: list[Any] = []
     try:
         executor = SingleThreadedExecutor()
-        node = build()
+        built = build()
+        nodes = built if isinstance(built, list) else [built]
         # The kernels and message types live as long as the process: the collector need not walk them.
         gc.collect()
         gc.freeze()
-        executor.add_node(node)
+        for node in nodes:
+            executor.add_node(node)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -78,11 +91,12 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
             return fail(_one_line(error))
         raise
     finally:
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
-    return int(getattr(node, 'exit_code', 0))
+    return max((int(getattr(node, 'exit_code', 0)) for node in nodes), default=0)
 
 
 def _one_line(error: BaseException) -> str:
-    return ' '.join(str(error).split())
+    # rcl ends its messages with the places in its own source, which say nothing to a user.
+    return re.sub(r', at /\S+:\d+', '', ' '.join(str(error).split()))

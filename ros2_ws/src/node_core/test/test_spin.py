@@ -3,7 +3,7 @@
 
 import pytest
 
-from node_core.spin import ros_arguments
+from node_core.spin import missing_params_file, ros_arguments
 from node_core.testing import parameter_text
 
 
@@ -26,3 +26,11 @@ def test_ros_flags_work_without_the_ros_args_marker(given, expected):
 )
 def test_parameter_values_are_written_as_rcl_reads_them(value, text):
     assert parameter_text(value) == text
+
+
+def test_a_missing_parameter_file_is_named(tmp_path):
+    there = tmp_path / 'there.yaml'
+    there.write_text('')
+    gone = str(tmp_path / 'gone.yaml')
+    assert missing_params_file(['n', '--ros-args', '--params-file', str(there)]) is None
+    assert missing_params_file(['n', '--params-file', str(there), '--params-file', gone]) == gone

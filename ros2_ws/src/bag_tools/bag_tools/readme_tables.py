@@ -28,6 +28,7 @@ from typing import Any
 import yaml
 
 from bag_tools.bench import RESULTS, BenchError, load_records, project_root
+from bag_tools.headline import HeadlineError, headlines
 from kalman_core.parameters import default_yaml, markdown_table
 from node_core.ports import Ports
 
@@ -83,19 +84,18 @@ def bench_table(records: list[dict[str, Any]], package: str) -> str:
     return '\n'.join(rows)
 
 
-def headline_table(records: list[dict[str, Any]], choice: list[dict[str, str]]) -> str:
+def headline_table(records: list[dict[str, Any]], choice: list[dict[str, Any]]) -> str:
     """Return the chosen figures as a table; raise TableError for one that is not stored."""
-    stored = {(entry['package'], entry['name']): entry for entry in records}
-    rows = ['| system | figure | here | in the same run | bar |', '|---|---|---|---|---|']
-    for wish in choice:
-        entry = stored.get((wish['package'], wish['name']))
-        if entry is None:
-            raise TableError(f"no stored figure '{wish['name']}' of {wish['package']}")
-        unit = f' {entry["unit"]}' if entry['unit'] else ''
-        peers = ', '.join(f'{peer} {_number(value)}' for peer, value in entry['reference'].items())
-        bar = '–' if entry['bar'] is None else f'{entry["bar"]:g}{unit}{"" if entry["pass"] else " (missed)"}'
-        cells = (wish['system'], entry['name'], f'{_number(entry["value"])}{unit}', peers or '–', bar)
-        rows.append('| ' + ' | '.join(cells) + ' |')
+    rows = ['| system | figure | paper | best peer | here | bar |', '|---|---|---|---|---|---|']
+    try:
+        lines = headlines(records, choice)
+    except HeadlineError as error:
+        raise TableError(str(error)) from None
+    for line in lines:
+        bar = f'{line.bar} **missed**' if line.met is False else line.bar
+        rows.append(
+            '| ' + ' | '.join((line.system, line.figure, line.paper, line.peer, line.here, bar)) + ' |'
+        )
     return '\n'.join(rows)
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import html
 import math
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,8 +15,9 @@ import numpy as np
 
 from bag_tools.bag import BagError, BagReader, resolve
 from bag_tools.cli import guarded
-from bag_tools.figures import DARK, LIGHT, SERIES, Line, Panel, png, svg
+from bag_tools.figures import SERIES, Line, Panel, png
 from bag_tools.offline import OfflineResult
+from bag_tools.report_page import chip, document, grid, number, slug, table
 from bag_tools.score import Comparison, Subject, Window, read_window, score
 from bag_tools.series import NANOSECONDS, Array
 
@@ -46,6 +46,15 @@ class RunResult:
     text: str = ''
     nis: Mapping[str, NisTrace] = field(default_factory=dict)
     timing: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """Runs that belong together; `body` is HTML that stands before them."""
+
+    title: str
+    runs: Sequence[RunResult]
+    body: str = ''
 
 
 def nis_of(result: OfflineResult) -> dict[str, NisTrace]:
@@ -85,25 +94,6 @@ def diagnostics_of(bag: str | Path) -> tuple[dict[str, NisTrace], dict[str, floa
 # Text -----------------------------------------------------------------------------------------------
 
 
-def _number(value: float | None) -> str:
-    if value is None or not math.isfinite(value):
-        return '–'
-    if value == 0.0:
-        return '0'
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    return f'{value:.{min(digits, 6)}f}' if abs(value) >= 1e-4 else f'{value:.2e}'
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table; the cells are HTML already. Of more than two columns, the first two are names."""
-    kind = ' class="named"' if len(head) > 2 else ''
-    top = ''.join(f'<th>{cell}</th>' for cell in head)
-    body = ''.join('<tr>' + ''.join(f'<td>{c}</td>' for c in row) + '</tr>' for row in rows)
-    return (
-        f'<div class="scroll"><table{kind}><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
-    )
-
-
 def _colors(runs: Sequence[RunResult]) -> dict[str, str]:
     """Give every estimator one colour for the whole page, no two of one run the same while colours last."""
     colors: dict[str, str] = {}
@@ -115,10 +105,6 @@ def _colors(runs: Sequence[RunResult]) -> dict[str, str]:
     return colors
 
 
-def _chip(name: str, color: str) -> str:
-    return f'<span class="chip"><i style="background:var(--{color})"></i>{html.escape(name)}</span>'
-
-
 def _errors_table(run: RunResult, colors: Mapping[str, str]) -> str:
     head = ('estimator', 'quantity', 'RMSE', 'max', '95 %', 'unit', 'NEES (expected)', 'delay')
     rows = []
@@ -126,23 +112,21 @@ def _errors_table(run: RunResult, colors: Mapping[str, str]) -> str:
         for c in comparisons:
             for index, s in enumerate(c.score.components):
                 first = index == 0
-                nees = (
-                    f'{_number(c.score.nees)} ({c.score.dof})' if c.score.nees is not None and first else ''
-                )
+                nees = f'{number(c.score.nees)} ({c.score.dof})' if c.score.nees is not None and first else ''
                 lag = f'{1e3 * c.score.delay:.1f} ms' if c.score.delay is not None and first else ''
                 rows.append(
                     (
-                        _chip(name, colors[name]) if first else '',
+                        chip(name, colors[name]) if first else '',
                         html.escape(f'{c.score.role.replace("_", " ")}: {s.name}'),
-                        f'<b>{_number(s.rmse)}</b>',
-                        _number(s.max),
-                        _number(s.percentiles['95']),
+                        f'<b>{number(s.rmse)}</b>',
+                        number(s.max),
+                        number(s.percentiles['95']),
                         html.escape(s.unit),
                         nees,
                         lag,
                     )
                 )
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _overview(runs: Sequence[RunResult], colors: Mapping[str, str]) -> str:
@@ -150,15 +134,15 @@ def _overview(runs: Sequence[RunResult], colors: Mapping[str, str]) -> str:
     parts = []
     roles = dict.fromkeys(c.score.role for run in runs for cs in run.comparisons.values() for c in cs)
     for role in roles:
-        table = {run.name: _rmse(run, role) for run in runs}
-        table = {name: rows for name, rows in table.items() if rows}
-        labels = list(dict.fromkeys(k for rows in table.values() for values in rows.values() for k in values))
-        if len(table) > 1:
-            table['mean'] = _means(table, labels)
-        body = [row for name, rows in table.items() for row in _group(name, rows, labels, colors)]
+        found = {run.name: _rmse(run, role) for run in runs}
+        found = {name: rows for name, rows in found.items() if rows}
+        labels = list(dict.fromkeys(k for rows in found.values() for values in rows.values() for k in values))
+        if len(found) > 1:
+            found['mean'] = _means(found, labels)
+        body = [row for name, rows in found.items() for row in _group(name, rows, labels, colors)]
         head = ('run', 'estimator', *(html.escape(label) for label in labels))
         title = html.escape(role.replace('_', ' '))
-        parts.append(f'<h3>RMSE: {title}</h3>{_table(head, body)}')
+        parts.append(f'<h3>RMSE: {title}</h3>{table(head, body)}')
     return ''.join(parts)
 
 
@@ -173,12 +157,12 @@ def _rmse(run: RunResult, role: str) -> dict[str, dict[str, float]]:
 
 
 def _means(
-    table: Mapping[str, Mapping[str, Mapping[str, float]]], labels: Sequence[str]
+    found: Mapping[str, Mapping[str, Mapping[str, float]]], labels: Sequence[str]
 ) -> dict[str, dict[str, float]]:
     """Return the means over the runs of each estimator that took part in all of them."""
-    names = [n for n in next(iter(table.values())) if all(n in rows for rows in table.values())]
+    names = [n for n in next(iter(found.values())) if all(n in rows for rows in found.values())]
     return {
-        n: {k: sum(rows[n].get(k, math.nan) for rows in table.values()) / len(table) for k in labels}
+        n: {k: sum(rows[n].get(k, math.nan) for rows in found.values()) / len(found) for k in labels}
         for n in names
     }
 
@@ -189,10 +173,10 @@ def _group(
     best = {k: min((values[k] for values in rows.values() if k in values), default=None) for k in labels}
     lines = []
     for index, (estimator, values) in enumerate(rows.items()):
-        cells = [_number(values.get(k)) for k in labels]
+        cells = [number(values.get(k)) for k in labels]
         if len(rows) > 1:
             cells = [f'<b>{c}</b>' if values.get(k) == best[k] else c for c, k in zip(cells, labels)]
-        lines.append([html.escape(name) if not index else '', _chip(estimator, colors[estimator]), *cells])
+        lines.append([html.escape(name) if not index else '', chip(estimator, colors[estimator]), *cells])
     return lines
 
 
@@ -238,68 +222,64 @@ def _nis_panels(run: RunResult) -> list[Panel]:
     return panels
 
 
-def _grid(panels: Sequence[Panel], about: str) -> str:
-    figures = ''.join(
-        f'<figure>{svg(p, html.escape(f"{about}: {p.title}", quote=True))}</figure>' for p in panels
-    )
-    return f'<div class="grid">{figures}</div>'
-
-
-def _slug(text: str) -> str:
-    return re.sub(r'[^a-z0-9]+', '_', text.lower()).strip('_') or 'run'
-
-
-def _section(run: RunResult, colors: Mapping[str, str], pngs: Path | None) -> str:
-    parts = [f'<section id="{_slug(run.name)}"><h2>{html.escape(run.name)}</h2>']
-    if run.text:
-        parts.append(f'<p>{html.escape(run.text)}</p>')
+def _details(run: RunResult, colors: Mapping[str, str], pngs: Path | None) -> str:
+    """Return everything about one run: errors, plots, NIS and timing."""
+    parts = [f'<p>{html.escape(run.text)}</p>'] if run.text else []
     parts.append(_errors_table(run, colors))
     for role, panels in panels_of(run, colors).items():
-        parts.append(f'<h3>{html.escape(role.replace("_", " ").capitalize())}</h3>{_grid(panels, run.name)}')
+        parts.append(f'<h3>{html.escape(role.replace("_", " ").capitalize())}</h3>{grid(panels, run.name)}')
         if pngs is not None:
-            png(panels, pngs / f'{_slug(run.name)}_{_slug(role)}.png', columns=2)
+            png(panels, pngs / f'{slug(run.name)}_{slug(role)}.png', columns=2)
     nis = _nis_panels(run)
     if nis:
         parts.append(
             '<h3>Normalised innovation squared</h3><p class="note">Smoothed over about 50 updates; near its '
-            f'degrees of freedom when the filter is consistent.</p>{_grid(nis, run.name)}'
+            f'degrees of freedom when the filter is consistent.</p>{grid(nis, run.name)}'
         )
         if pngs is not None:
-            png(nis, pngs / f'{_slug(run.name)}_nis.png', columns=min(2, len(nis)))
+            png(nis, pngs / f'{slug(run.name)}_nis.png', columns=min(2, len(nis)))
     if run.timing:
-        rows = [(html.escape(k), _number(v)) for k, v in run.timing.items()]
-        parts.append(f'<h3>Timing</h3>{_table(("what", "value"), rows)}')
-    return ''.join([*parts, '</section>'])
+        rows = [(html.escape(k), number(v)) for k, v in run.timing.items()]
+        parts.append(f'<h3>Timing</h3>{table(("what", "value"), rows)}')
+    return ''.join(parts)
 
 
-_CSS = """
-:root{color-scheme:light dark;--page:#f6f7f8;%(light)s}
-@media (prefers-color-scheme:dark){:root{--page:#121518;%(dark)s}}
-*{box-sizing:border-box}
-body{margin:0 auto;max-width:1280px;padding:16px;background:var(--page);color:var(--ink);
- font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,sans-serif}
-h1{font-size:1.6rem;line-height:1.2;margin:.3em 0}
-h2{font-size:1.25rem;margin:2.2em 0 .4em;padding-top:.8em;border-top:1px solid var(--grid)}
-h3{font-size:1rem;margin:1.6em 0 .5em}
-p{max-width:70ch;margin:.4em 0}.note{color:var(--muted);font-size:.9rem}
-nav a{display:inline-block;margin:0 1em .3em 0;color:var(--s0)}
-.scroll{overflow-x:auto;background:var(--panel);border:1px solid var(--grid);border-radius:8px}
-table{border-collapse:collapse;width:100%%;font-size:.875rem;font-variant-numeric:tabular-nums}
-th,td{padding:.4em .8em;text-align:right;white-space:nowrap;border-bottom:1px solid var(--grid)}
-th{color:var(--muted);font-weight:600;vertical-align:bottom}
-td:first-child,th:first-child,.named td:nth-child(2),.named th:nth-child(2){text-align:left}
-tbody tr:last-child td{border-bottom:0}
-.chip{white-space:nowrap;margin-right:.9em}
-.chip i{display:inline-block;width:.75em;height:.75em;border-radius:2px;margin-right:.4em}
-.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%%,440px),1fr));gap:12px}
-figure{margin:0;padding:8px;background:var(--panel);border:1px solid var(--grid);border-radius:8px}
-figure svg{display:block;width:100%%;height:auto;font-family:inherit}
-"""
+def _section(run: RunResult, colors: Mapping[str, str], pngs: Path | None) -> str:
+    name = html.escape(run.name)
+    return f'<section id="{slug(run.name)}"><h2>{name}</h2>{_details(run, colors, pngs)}</section>'
 
 
-def _css() -> str:
-    light, dark = (''.join(f'--{k}:{v};' for k, v in p.items()) for p in (LIGHT, DARK))
-    return _CSS % {'light': light, 'dark': dark}
+def _chapter(chapter: Chapter, colors: Mapping[str, str], pngs: Path | None) -> str:
+    """Return a chapter: its own text and figures, one table of its runs, and each run to unfold."""
+    runs = ''.join(
+        f'<details id="{slug(run.name)}"><summary>{html.escape(run.name)}: errors with ±3σ, NIS, timing'
+        f'</summary>{_details(run, colors, pngs)}</details>'
+        for run in chapter.runs
+    )
+    head = f'<h2>{html.escape(chapter.title)}</h2>{chapter.body}'
+    overview = _overview(chapter.runs, colors) if chapter.runs else ''
+    return f'<section id="{slug(chapter.title)}">{head}{overview}{runs}</section>'
+
+
+def _legend(runs: Sequence[RunResult], colors: Mapping[str, str]) -> str:
+    names = [name for name in colors if any(name in run.comparisons for run in runs)]
+    return f'<p>{"".join(chip(n, colors[n]) for n in names)}{chip("truth", "truth")}</p>'
+
+
+def _folder(pngs: str | Path | None) -> Path | None:
+    folder = Path(pngs) if pngs is not None else None
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _write(path: str | Path, title: str, body: str) -> Path:
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f'.{target.name}.partial')
+    temporary.write_text(document(title, body), encoding='utf-8')
+    temporary.replace(target)
+    return target
 
 
 def write_report(
@@ -313,26 +293,31 @@ def write_report(
     """Write the page to `path` and, when `pngs` names a folder, one PNG per run and quantity into it."""
     if not any(run.comparisons for run in runs):
         raise BagError(f'{path}: nothing to report; expected at least one run with a comparison')
-    folder = Path(pngs) if pngs is not None else None
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
+    folder = _folder(pngs)
     colors = _colors(runs)
-    chips = ''.join(_chip(n, c) for n, c in colors.items()) + _chip('truth', 'truth')
-    links = ''.join(f'<a href="#{_slug(r.name)}">{html.escape(r.name)}</a>' for r in runs)
-    page = (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f'<title>{html.escape(title)}</title><style>{_css()}</style></head><body>'
+    links = ''.join(f'<a href="#{slug(r.name)}">{html.escape(r.name)}</a>' for r in runs)
+    body = (
         f'<h1>{html.escape(title)}</h1>{f"<p>{html.escape(text)}</p>" if text else ""}'
-        f'<p>{chips}</p>{f"<nav>{links}</nav>" if len(runs) > 1 else ""}'
-        f'{_overview(runs, colors)}{"".join(_section(r, colors, folder) for r in runs)}</body></html>\n'
+        f'{_legend(runs, colors)}{f"<nav>{links}</nav>" if len(runs) > 1 else ""}'
+        f'{_overview(runs, colors)}{"".join(_section(r, colors, folder) for r in runs)}'
     )
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f'.{target.name}.partial')
-    temporary.write_text(page, encoding='utf-8')
-    temporary.replace(target)
-    return target
+    return _write(path, title, body)
+
+
+def write_chapters(
+    path: str | Path,
+    chapters: Sequence[Chapter],
+    title: str,
+    head: str = '',
+    *,
+    pngs: str | Path | None = None,
+) -> Path:
+    """Write a page of chapters to `path`: `head` (HTML), then each chapter with its runs folded."""
+    folder = _folder(pngs)
+    # Within a chapter colours must differ; across chapters the first estimator always has the first one.
+    links = ''.join(f'<a href="#{slug(c.title)}">{html.escape(c.title)}</a>' for c in chapters)
+    body = ''.join(_chapter(c, _colors(c.runs), folder) for c in chapters)
+    return _write(path, title, f'<h1>{html.escape(title)}</h1><nav>{links}</nav>{head}{body}')
 
 
 def run_of_bag(

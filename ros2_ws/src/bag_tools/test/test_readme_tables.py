@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from bag_tools import readme_tables
+from bag_tools.headline import headlines
 from bag_tools.readme_tables import TableError, bench_table, fill, ports_table
 from kalman_core.parameters import build, parameter
 from node_core.ports import Input, Output, Ports
@@ -207,13 +208,30 @@ def test_a_headline_shows_only_the_chosen_figures_and_names_a_missing_one():
             'bar': 2.0,
             'pass': v <= 2,
             'reference': {'peer': 9.0},
+            'better': 'lower',
         }
         for n, v in (('a', 1.0), ('b', 3.0))
     ]
-    table = readme_tables.headline_table(records, [{'system': 'S', 'package': 'p', 'name': 'b'}])
-    assert table.splitlines()[2:] == ['| S | b | 3 m | peer 9 | 2 m (missed) |']
-    with pytest.raises(readme_tables.TableError, match="'c' of p"):
-        readme_tables.headline_table(records, [{'system': 'S', 'package': 'p', 'name': 'c'}])
+    wish = {'system': 'S', 'package': 'p', 'name': 'b'}
+    table = readme_tables.headline_table(records, [wish])
+    assert table.splitlines()[2:] == ['| S | b | – | – | 3 m | ≤ 2 m **missed** |']
+    for wrong in ({'name': 'c'}, {'paper': 'c'}, {'peers': ['c']}, {'paper': {'row': 'c'}}):
+        with pytest.raises(readme_tables.TableError, match="'c'"):
+            readme_tables.headline_table(records, [wish | wrong])
+
+
+def test_a_headline_sets_the_paper_and_the_best_of_the_peers_beside_it():
+    reference = {'printed': 0.8, 'A': 0.5, 'B': 0.4, 'C': None}
+    row = {'package': 'p', 'name': 'a', 'value': 0.1, 'unit': 'm', 'bar': None, 'pass': True}
+    wish = {'system': 'S', 'package': 'p', 'name': 'a', 'paper': 'printed', 'peers': ['A', 'B', 'C']}
+    for better, best in (('lower', 'B 0.4 m'), ('higher', 'A 0.5 m')):
+        (line,) = headlines([row | {'reference': reference, 'better': better}], [wish])
+        assert (line.paper, line.peer, line.here, line.met) == ('0.8 m', best, '0.1 m', None)
+    (line,) = headlines(
+        [row | {'reference': {}, 'better': 'lower'}], [wish | {'paper': {'printed': '2 to 3 s'}, 'peers': []}]
+    )
+    assert line.paper == '2 to 3 s'
+    assert headlines([], [wish], partial=True) == []
 
 
 def test_the_documents_of_this_workspace_are_current():

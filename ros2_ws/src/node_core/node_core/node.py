@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import heapq
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -31,6 +32,10 @@ DIAGNOSTICS_PERIOD = 1.0  # s, the rate that diagnostic_aggregator expects
 _BACKWARD_JUMP = -0.5  # s
 # How often an estimator looks for a backlog: far below any lag window, and too seldom to cost anything.
 _BACKLOG_INTERVAL = 20_000_000  # ns
+
+# Compiled kernels load in some tenths of a second; what takes longer is most likely a compilation.
+_LOADING = 1.0  # s
+_COMPILING = 'preparing kernels; the first start compiles them'
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +136,15 @@ class EstimatorNode(WorkspaceNode):
 
     def __init__(self, ports: Ports, name: str | None = None, **kwargs: Any) -> None:
         super().__init__(name or ports.name, ports.params, **kwargs)
-        if ports.warm is not None:
-            ports.warm()
-        self.driver = EstimatorDriver(ports, self.parameters[ports.params])
+        patience = threading.Timer(_LOADING, self.get_logger().info, (_COMPILING,))
+        patience.daemon = True
+        patience.start()
+        try:
+            if ports.warm is not None:
+                ports.warm()
+            self.driver = EstimatorDriver(ports, self.parameters[ports.params])
+        finally:
+            patience.cancel()
         self._ports = ports
         self._outputs = {id(o): self._publisher_of(o) for o in ports.outputs.values()}
         self._states = {port.topic: InputState(port) for port in ports.inputs}

@@ -6,6 +6,7 @@ from __future__ import annotations
 import calendar
 import math
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pynmeagps import NMEAMessage, NMEAReader
@@ -13,85 +14,58 @@ from pynmeagps.exceptions import NMEAParseError
 from pyubx2 import UBXReader
 from pyubx2.exceptions import UBXParseError
 
+from node_core.byte_frames import NMEA, UBX, MessageCutter
+
 KNOT = 1852.0 / 3600.0  # m/s
 NANOSECONDS = 1_000_000_000
-UBX_SYNC = b'\xb5\x62'
-# Longest message: an NMEA line has at most 82 characters, a UBX payload beyond this is noise.
-NMEA_LONGEST = 120
-UBX_LONGEST = 4096
 FIX_3D = 3
 _NO_COURSE_SPEED = 0.5  # m/s, below which receivers leave the course out
 
 
 class GpsSpeed(NamedTuple):
-    """Speed over ground, m/s, east and north where the course is known; σ in m/s; validity in UTC ns or 0."""
+    """Speed over ground, m/s, east and north where the course is known; σ in m/s.
+
+    utc: validity (ns), 0 if the receiver does not know it; arrival: clock (ns) at the message's first byte.
+    """
 
     speed: float
     east: float
     north: float
     sigma: float
     utc: int
+    arrival: int = 0
 
 
 class GpsStream:
     """Cuts bytes into messages and gives their speeds; what is wrong is counted by reason in `rejected`."""
 
     def __init__(self, nmea_sigma: float) -> None:
-        self._buffer = bytearray()
         self._nmea_sigma = nmea_sigma
         self._ubx_seen = False
+        self._began = 0
         self.accepted = 0
         self.rejected: Counter[str] = Counter()
+        self._messages = MessageCutter(self.rejected, UBX, NMEA)
 
-    def feed(self, data: bytes) -> list[GpsSpeed]:
-        """Take bytes as they come, in pieces of any size; return the speeds completed by them."""
-        self._buffer += data
-        out: list[GpsSpeed] = []
-        while True:
-            message = self._next()
-            if message is None:
-                return out
+    def feed(self, data: bytes, arrival: int = 0) -> Iterator[GpsSpeed]:
+        """Take bytes that came at `arrival` (ns), in pieces of any size; yield the speeds completed by them."""
+        # What is left over of the bytes before began with them, what follows a message came just now.
+        began = self._began if self._messages.pending else arrival
+        for message in self._messages.feed(data):
             speed = self._decode(message)
             if speed is not None:
                 self.accepted += 1
-                out.append(speed)
-
-    def _next(self) -> bytes | None:
-        """Take the first whole message off the buffer; drop what belongs to none."""
-        buffer = self._buffer
-        while buffer:
-            if buffer[0] == UBX_SYNC[0]:
-                if len(buffer) < 6:
-                    return None
-                length = 8 + int.from_bytes(buffer[4:6], 'little')
-                if buffer[1] == UBX_SYNC[1] and length <= UBX_LONGEST:
-                    return self._take(length) if len(buffer) >= length else None
-            elif buffer[0] == ord('$'):
-                end = buffer.find(b'\n')
-                if 0 <= end <= NMEA_LONGEST:
-                    return self._take(end + 1)
-                if end < 0 and len(buffer) <= NMEA_LONGEST:
-                    return None
-            starts = [i for i in (buffer.find(b'$', 1), buffer.find(UBX_SYNC, 1)) if i > 0]
-            # A lone first sync byte at the end may be the start of a message.
-            keep = len(buffer) - 1 if buffer[-1] == UBX_SYNC[0] and len(buffer) > 1 else len(buffer)
-            dropped = min([*starts, keep])
-            self.rejected['bytes between messages'] += dropped
-            del buffer[:dropped]
-        return None
-
-    def _take(self, length: int) -> bytes:
-        message = bytes(self._buffer[:length])
-        del self._buffer[:length]
-        return message
+                yield speed._replace(arrival=began)
+            began = arrival
+        self._began = began
 
     def _decode(self, message: bytes) -> GpsSpeed | None:
         try:
-            if message.startswith(UBX_SYNC):
+            if message.startswith(UBX.sync):
                 return self._ubx(UBXReader.parse(message))
             return self._nmea(NMEAReader.parse(message))
         except (UBXParseError, NMEAParseError):
-            self.rejected['checksum or format'] += 1
+            self.rejected['format'] += 1
         except Exception as error:  # both parsers let stray errors of damaged fields through
             self.rejected[f'not decodable ({type(error).__name__})'] += 1
         return None

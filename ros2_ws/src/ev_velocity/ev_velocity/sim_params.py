@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ev_velocity.scenarios import SCENARIOS
 from ev_velocity.simulation import COURSES
 from kalman_core.parameters import parameter
+from node_core.byte_params import RecordingParams, StreamParams
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +26,7 @@ class SimulatorParams:
 
 
 @dataclass(frozen=True, slots=True)
-class CanParams:
+class CanParams(RecordingParams):
     """The CAN driver."""
 
     interface: str = parameter(
@@ -35,34 +36,29 @@ class CanParams:
     bitrate: int = parameter(500_000, 'bit rate where the interface sets it', unit='bit/s', minimum=10_000)
     dbc: str = parameter('', "DBC file; empty is the package's own of the i-MiEV")
     profile: str = parameter('imiev', 'which signals are which', choices=('imiev', 'toyota86'))
-    replay_rate: float = parameter(
-        1.0, 'speed of a replay; 0 is as fast as it goes', minimum=0.0, maximum=1000.0
-    )
     wheel_radius: float = parameter(0.285, 'rolling radius', unit='m', minimum=0.05, maximum=2.0)
     brake_full: float = parameter(
         400.0, 'raw brake value that counts as full pedal (its scale is disputed)', minimum=1.0
+    )
+    reconnect_time: float = parameter(
+        1.0, 'wait before a lost interface is opened again', unit='s', minimum=0.05, maximum=60.0
     )
     stale_time: float = parameter(0.5, 'a frame not seen for longer is named', unit='s', minimum=0.05)
 
 
 @dataclass(frozen=True, slots=True)
-class GpsParams:
+class GpsParams(StreamParams):
     """The GPS driver."""
 
     source: str = parameter(
-        '/dev/ttyACM0', 'serial port, tcp://HOST:PORT, or a file with recorded NMEA or UBX'
-    )
-    baud: int = parameter(115_200, 'bit rate of a serial port', unit='bit/s', minimum=1200)
-    replay_rate: float = parameter(
-        1.0, 'speed of a file by its own times; 0 is as fast as it goes', minimum=0.0, maximum=1000.0
+        '/dev/ttyACM0', 'serial port (/dev/... or COMn), tcp://HOST:PORT, or a file with recorded NMEA or UBX'
     )
     stamp_source: str = parameter(
         'arrival',
-        "arrival: the host's clock at the first byte; message: the receiver's own UTC",
+        "arrival: the host's clock at the message's first byte; message: the receiver's own UTC",
         choices=('arrival', 'message'),
     )
     nmea_sigma: float = parameter(
         0.1, 'noise of a speed from NMEA, which tells none', unit='m/s', minimum=0.01
     )
     frame_id: str = parameter('gps', 'frame of the antenna')
-    reconnect_time: float = parameter(1.0, 'pause before a lost source is tried again', unit='s', minimum=0.1)

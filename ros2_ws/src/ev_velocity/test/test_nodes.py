@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes as processes."""
 
+import calendar
 import math
 import socket
 import sys
@@ -21,11 +22,19 @@ TWIST = 'geometry_msgs/msg/TwistWithCovarianceStamped'
 JOINTS = 'sensor_msgs/msg/JointState'
 CONFIG = Path(__file__).parents[1] / 'config'
 START = 1_767_225_600.0  # s
+LONG = 600  # s: discovery on a loaded machine
 
 
 def start(node, **params):
     code = f'from ev_velocity.nodes.{node} import main; main()'
     return Process([sys.executable, '-c', code, *ros_arguments(params)])
+
+
+def nmea(body):
+    checksum = 0
+    for character in body:
+        checksum ^= ord(character)
+    return f'${body}*{checksum:02X}\r\n'.encode()
 
 
 @pytest.fixture
@@ -84,13 +93,16 @@ def test_a_can_log_is_replayed_with_its_recorded_stamps(graph, tmp_path):
     car.close()
     wheels = graph.collect(JOINTS, 'wheel/states')
     speeds = graph.collect(TWIST, 'vehicle/speed')
-    with start('can_driver', interface='log', channel=path) as process:
-        graph.until(lambda: len(wheels) > 50 and len(speeds) > 50, 'readings', process=process)
-        assert process.stop() == 0, process.output
+    with start(
+        'can_driver', interface='log', channel=path, replay_rate=0.0, wait_for_subscribers=LONG
+    ) as process:
+        graph.until(lambda: not process.running, 'the end of the log')
+        assert process.wait() == 0, process.output
+    assert len(wheels) == len(speeds) == 300
     assert list(wheels[-1].name) == ['wheel_1', 'wheel_2', 'wheel_3', 'wheel_4']
     assert list(wheels[-1].velocity) == pytest.approx([5.0 / 0.285] * 4, rel=0.01)
     assert speeds[-1].twist.twist.linear.x == pytest.approx(5.0, abs=0.01)
-    assert START <= stamp_of(speeds[-1]) * 1e-9 <= START + 6.0
+    assert [stamp_of(m) * 1e-9 for m in (speeds[0], speeds[-1])] == pytest.approx([START, START + 5.98])
 
 
 def test_a_bus_that_is_not_there_is_named(graph):
@@ -102,14 +114,12 @@ def test_a_bus_that_is_not_there_is_named(graph):
 
         graph.until(named, 'an error that names the bus', process=process)
         assert process.stop() == 0, process.output
+        warnings = [line for line in process.output.splitlines() if 'WARN' in line and 'nocan7' in line]
+        assert len(warnings) == 1, process.output
 
 
 def test_gps_speeds_come_from_a_server_and_its_loss_is_named(graph):
-    body = 'GPRMC,083559.50,A,4717.11437,N,00833.91522,E,10.0,90.0,091202,,,A'
-    checksum = 0
-    for character in body:
-        checksum ^= ord(character)
-    line = f'${body}*{checksum:02X}\r\n'.encode()
+    line = nmea('GPRMC,083559.50,A,4717.11437,N,00833.91522,E,10.0,90.0,091202,,,A')
     speeds = graph.collect(TWIST, 'gps/speed')
     diagnostics = graph.collect('diagnostic_msgs/msg/DiagnosticArray', '/diagnostics')
     enough = threading.Event()
@@ -123,7 +133,8 @@ def test_gps_speeds_come_from_a_server_and_its_loss_is_named(graph):
 
         thread = threading.Thread(target=serve)
         thread.start()
-        with start('gps_driver', source=f'tcp://127.0.0.1:{server.getsockname()[1]}') as process:
+        source = f'tcp://127.0.0.1:{server.getsockname()[1]}'
+        with start('gps_driver', source=source) as process:
             graph.until(lambda: len(speeds) > 10, 'speeds', process=process)
             enough.set()
             thread.join()
@@ -136,9 +147,23 @@ def test_gps_speeds_come_from_a_server_and_its_loss_is_named(graph):
 
             graph.until(lost, 'an error that names the source', process=process)
             assert process.stop() == 0, process.output
+            assert f'{source}: closed by the server' in process.output
     linear = speeds[-1].twist.twist.linear
     assert math.hypot(linear.x, linear.y) == pytest.approx(10.0 * 1852.0 / 3600.0)
     assert speeds[-1].twist.covariance[0] == pytest.approx(0.01)
+
+
+def test_a_recorded_drive_of_a_receiver_is_played_by_its_own_times(graph, tmp_path):
+    path = tmp_path / 'drive.nmea'
+    lines = [nmea(f'GPRMC,0835{i:02d}.00,A,4717.1,N,00833.9,E,{i}.0,90.0,091202,,,A') for i in range(60)]
+    path.write_bytes(b''.join(lines))
+    speeds = graph.collect(TWIST, 'gps/speed')
+    with start('gps_driver', source=path, replay_rate=100.0, wait_for_subscribers=LONG) as process:
+        graph.until(lambda: not process.running, 'the end of the recording')
+        assert process.wait() == 0, process.output
+    first = calendar.timegm((2002, 12, 9, 8, 35, 0))
+    assert [stamp_of(m) for m in speeds] == [(first + i) * 10**9 for i in range(60)]
+    assert speeds[-1].twist.twist.linear.x == pytest.approx(59.0 * 1852.0 / 3600.0)
 
 
 @pytest.mark.parametrize(
@@ -147,6 +172,7 @@ def test_gps_speeds_come_from_a_server_and_its_loss_is_named(graph):
         ('can_driver', {'interface': 'log', 'channel': '/nowhere/drive.log'}, '/nowhere/drive.log'),
         ('can_driver', {'dbc': '/nowhere/car.dbc'}, 'no such DBC'),
         ('gps_driver', {'source': 'tcp://nowhere'}, 'expected tcp://HOST:PORT'),
+        ('gps_driver', {'source': '/nowhere/drive.nmea'}, "'source': /nowhere/drive.nmea"),
         ('vehicle_simulator', {'scenario': 'moon'}, 'plant_oil_patch'),
         ('velocity_estimator', {'gate': -1.0}, 'gate'),
     ],

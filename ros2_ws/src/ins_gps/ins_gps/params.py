@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 from kalman_core.parameters import ParameterError, parameter
+from node_core.byte_params import RecordingParams, StreamParams
 
 MODES = ('ins', 'gps', 'loose', 'tight_doppler', 'tight_tdcp', 'tight_code')
 
@@ -161,7 +162,7 @@ class SimulatorParams:
 
 
 @dataclass(frozen=True, slots=True)
-class RinexParams:
+class RinexParams(RecordingParams):
     """Replay of a receiver's RINEX files."""
 
     observations: str = parameter('', 'path of the RINEX observation file')
@@ -172,19 +173,15 @@ class RinexParams:
     )
     leap_seconds: int = parameter(18, 'GPS minus UTC', unit='s', minimum=0, maximum=60)
     atmosphere: bool = parameter(True, 'model ionosphere (Klobuchar) and troposphere (Saastamoinen)')
-    speed: float = parameter(1.0, 'times real time', minimum=0.01, maximum=1000.0)
     frame: str = parameter('gnss', 'frame id of the antenna')
 
 
 @dataclass(frozen=True, slots=True)
-class UbloxParams:
+class UbloxParams(StreamParams):
     """A u-blox receiver that sends RXM-RAWX, RXM-SFRBX and, for `fix_topic`, NAV-PVT."""
 
-    source: str = parameter('', 'file, serial port (/dev/... or COMn) or tcp://HOST:PORT')
-    baud: int = parameter(460_800, 'of a serial port', unit='Bd', minimum=1200, maximum=10_000_000)
-    reconnect_time: float = parameter(
-        1.0, 'wait before a lost port or server is opened again', unit='s', minimum=0.05, maximum=60.0
-    )
+    # RXM-RAWX of 40 signals at 10 Hz fills 115200 Bd.
+    baud: int = parameter(460_800, 'of a serial port', unit='Bd', minimum=300, maximum=10_000_000)
     bands: str = parameter(
         'first', 'first: L1 and E1; all: L2, L5, E5a and E5b too', choices=('first', 'all')
     )
@@ -197,7 +194,6 @@ class UbloxParams:
         18, 'GPS minus UTC until the receiver knows it', unit='s', minimum=0, maximum=60
     )
     atmosphere: bool = parameter(True, 'model ionosphere (Klobuchar) and troposphere (Saastamoinen)')
-    speed: float = parameter(1.0, 'of a file, times real time', minimum=0.01, maximum=1000.0)
     frame: str = parameter('gnss', 'frame id of the antenna')
 
     @property

@@ -20,11 +20,9 @@ from ins_gps.constants import GALILEO, GPS, SYSTEM_LETTERS, WEEK
 from ins_gps.observations import EpochBuilder
 from ins_gps.rinex import NANOSECONDS, RawEpoch
 from ins_gps.samples import OBS, GnssEpoch, ReceiverFix
+from node_core.byte_frames import UBX, MessageCutter
 
-_SYNC = b'\xb5\x62'
 _HEAD, _TAIL = 6, 2  # bytes of a frame before and after its payload
-# Payloads beyond 255 measurements of RXM-RAWX do not occur: such a length is not that of a frame.
-_LONGEST = 16 + 32 * 255
 _PVT, _SFRBX, _RAWX = b'\x01\x07', b'\x02\x13', b'\x02\x15'
 _UNREADABLE = (
     ubx_errors.UBXParseError,
@@ -57,50 +55,6 @@ _INAV_SIGNALS = (1, 5)  # E1-B and E5b-I
 _MILLISECOND = 1e-3  # s, resolution of the lock time
 _FIX_TYPES = (2, 3, 4)  # 2-D, 3-D, with dead reckoning
 _UNIX = datetime.datetime(1970, 1, 1)
-
-
-class UbxFrames:
-    """Cuts a byte stream into frames with a right checksum; `rejected` counts what is none."""
-
-    def __init__(self, rejected: Counter[str]) -> None:
-        self._buffer = bytearray()
-        self._rejected = rejected
-
-    def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield the whole frames that `data` completes. After a bad one the search goes on inside it."""
-        self._buffer += data
-        view, position = bytes(self._buffer), 0
-        while True:
-            start = view.find(_SYNC, position)
-            if start < 0:
-                # The last byte may be the first half of a sync.
-                position = len(view) - (view[-1:] == _SYNC[:1])
-                break
-            position = start
-            if len(view) - start < _HEAD:
-                break
-            length = int.from_bytes(view[start + 4 : start + 6], 'little')
-            if length > _LONGEST:
-                self._rejected['no frame'] += 1
-                position = start + 2
-                continue
-            end = start + _HEAD + length + _TAIL
-            if len(view) < end:
-                break
-            frame = view[start:end]
-            if _checksum(frame[2:-2]) == frame[-2:]:
-                yield frame
-                position = end
-            else:
-                self._rejected['checksum'] += 1
-                position = start + 2
-        del self._buffer[: max(0, position)]
-
-
-def _checksum(data: bytes) -> bytes:
-    values = np.frombuffer(data, dtype=np.uint8).astype(np.int64)
-    second = int(values @ np.arange(len(values), 0, -1))
-    return bytes((int(values.sum()) & 0xFF, second & 0xFF))
 
 
 class RawxReader:
@@ -193,7 +147,7 @@ class UbloxDecoder:
         self.left_out: Counter[str] = Counter()
         self.missing: tuple[str, ...] = ()
         self.broadcast = BroadcastStore()
-        self._frames = UbxFrames(self.rejected)
+        self._frames = MessageCutter(self.rejected, UBX)
         self._rawx = RawxReader(bands)
         self._atmosphere, self._utc, self._leap = atmosphere, utc, leap
         self._last = 0

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import os
 from collections import Counter
 
 import numpy as np
@@ -7,13 +6,13 @@ import pytest
 from pyubx2 import GET, UBXMessage
 
 from ins_gps.broadcast import BroadcastStore
-from ins_gps.byte_sources import SourceError, is_recorded, open_source, tcp_address
 from ins_gps.constants import GPS_EPOCH_UNIX, WEEK
 from ins_gps.observations import EpochBuilder
 from ins_gps.orbit import COLUMN
 from ins_gps.rinex import read_navigation, read_observations
 from ins_gps.samples import OBS, GnssEpoch, ReceiverFix
-from ins_gps.ublox import RawxReader, UbloxDecoder, UbxFrames
+from ins_gps.ublox import RawxReader, UbloxDecoder
+from node_core.byte_frames import UBX, MessageCutter
 
 NANOSECONDS = 1_000_000_000
 EVERYTHING = (1, 2, 5, 7)
@@ -115,20 +114,6 @@ def test_an_epoch_that_cannot_be_read_says_why(payload, reason):
     assert RawxReader().read(payload) == reason
 
 
-@pytest.mark.parametrize('piece', [1, 7, 100_000])
-def test_frames_survive_garbage_truncation_and_bad_checksums(piece):
-    good = [rawx(float(i), {}) for i in range(4)]
-    broken = bytearray(good[1])
-    broken[20] ^= 1
-    endless = b'\xb5\x62\x02\x15\xff\xff'
-    stream = b'$GPGGA,\xb5' + good[0] + bytes(broken) + good[1] + good[2][:30] + good[2] + endless + good[3]
-    rejected = Counter()
-    frames = UbxFrames(rejected)
-    out = [f for i in range(0, len(stream), piece) for f in frames.feed(stream[i : i + piece])]
-    assert out == good
-    assert rejected == {'checksum': 2, 'no frame': 1}
-
-
 def test_random_bytes_raise_nothing_and_the_next_frames_are_read():
     rng = np.random.default_rng(3)
     decoder = UbloxDecoder()
@@ -205,38 +190,6 @@ def test_words_that_are_no_navigation_message_are_refused():
     assert len(store.ephemerides) == 0
 
 
-@pytest.mark.parametrize('source', ['tcp://nowhere', 'tcp://:5', 'tcp://host:70000', 'tcp://host:x'])
-def test_a_bad_address_is_named(source):
-    with pytest.raises(SourceError, match='expected tcp://HOST:PORT'):
-        tcp_address(source)
-
-
-def test_sources_are_told_apart_by_name(tmp_path):
-    assert [is_recorded(s) for s in ('a.ubx', '/dev/ttyACM0', 'COM3', 'tcp://h:1')] == [
-        True,
-        False,
-        False,
-        False,
-    ]
-    with pytest.raises(SourceError, match='No such file'):
-        open_source(str(tmp_path / 'none.ubx'), 9600)
-
-
-def test_a_serial_port_gives_its_bytes_and_its_loss_is_named():
-    master, slave = os.openpty()
-    port = open_source(os.ttyname(slave), 115_200)
-    os.write(master, b'\xb5\x62\x00\xff')
-    assert port.read() == b'\xb5\x62\x00\xff'
-    assert port.read() == b''
-    os.close(slave)
-    os.close(master)
-    with pytest.raises(SourceError, match='lost'):
-        port.read()
-    port.close()
-    with pytest.raises(SourceError, match='/dev/none'):
-        open_source('/dev/none', 115_200)
-
-
 @pytest.fixture(scope='module')
 def spirent(recordings):
     folder = recordings / 'spirent_ubx'
@@ -263,7 +216,7 @@ def by_signal(rows):
 def test_recorded_observations_are_those_of_the_rinex_file(stream, reference):
     reader = RawxReader(EVERYTHING)
     decoded = {}
-    for frame in UbxFrames(Counter()).feed(stream):
+    for frame in MessageCutter(Counter(), UBX).feed(stream):
         if frame[2:4] == b'\x02\x15':
             epoch = reader.read(frame[6:-2])
             if not isinstance(epoch, str) and len(epoch.rows):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -13,50 +14,19 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ins_gps import codec
 from ins_gps.observations import EpochBuilder
 from ins_gps.params import RinexParams, SimulatorParams
-from ins_gps.rinex import RinexError, read_navigation, read_observations
+from ins_gps.rinex import RawEpoch, RinexError, read_navigation, read_observations
+from ins_gps.samples import GnssEpoch
 from ins_gps.scenarios import scenario_of, truth_estimate
 from ins_gps.simulation_gnss import simulate
 from kalman_core.parameters import ParameterError
+from node_core.byte_node import SourceNode
 from node_core.diagnostics import OK, WARN, status
 from node_core.node import WorkspaceNode
 
-NANOSECONDS = 1_000_000_000
 _TICK = 0.002  # s; each sample still has its own deadline
 
 
-class SeriesNode(WorkspaceNode):
-    """Publishes (due time ns, publish callable) pairs in order, on the steady clock."""
-
-    def __init__(self, name: str, params: type) -> None:
-        super().__init__(name, params)
-        self._series: list[tuple[int, Any]] = []
-        self._next = 0
-        self._speed = 1.0
-        self._started = 0
-
-    def begin(self, series: list[tuple[int, Any]], speed: float) -> None:
-        """Start publishing; times are relative to the first."""
-        self._series, self._speed = series, speed
-        self._started = time.monotonic_ns()
-        self.create_timer(_TICK, self._publish_due, clock=self.steady_clock)
-
-    def _publish_due(self) -> None:
-        if self._next >= len(self._series):
-            raise SystemExit(0)
-        due = self._series[0][0] + (time.monotonic_ns() - self._started) * self._speed
-        while self._next < len(self._series) and self._series[self._next][0] <= due:
-            self._series[self._next][1]()
-            self._next += 1
-
-    def diagnose(self) -> DiagnosticArray:
-        """Report how much was published."""
-        done = self._next
-        level, text = (OK, 'ok') if done else (WARN, 'nothing published yet')
-        name = self.get_fully_qualified_name().lstrip('/')
-        return DiagnosticArray(status=[status(name, level, text, {'messages': done})])
-
-
-class UavSimulatorNode(SeriesNode):
+class UavSimulatorNode(WorkspaceNode):
     """Publishes IMU, GNSS observations and truth of one scenario, stamped from now on."""
 
     def __init__(self) -> None:
@@ -68,7 +38,7 @@ class UavSimulatorNode(SeriesNode):
         gnss, self._gnss = self.publish_to(codec.CLOUD, 'gnss/observations')
         truth, self._truth = self.publish_to(codec.ODOMETRY, 'truth/odometry')
         self._publish_imu, self._publish_gnss, self._publish_truth = imu.publish, gnss.publish, truth.publish
-        series = []
+        series: list[tuple[int, Any]] = []
         for index, sample in enumerate(run.imu_samples()):
             series.append((sample.stamp, self._send_imu(sample)))
             estimate = truth_estimate(run, index + 1)
@@ -77,7 +47,9 @@ class UavSimulatorNode(SeriesNode):
             series.append((epoch.stamp, self._send_gnss(epoch)))
         series.sort(key=lambda item: item[0])
         self.get_logger().info(f"'{params.trajectory}' for {params.duration:g} s, seed {params.seed}")
-        self.begin(series, params.speed)
+        self._series, self._speed = series, params.speed
+        self._next, self._started = 0, time.monotonic_ns()
+        self.create_timer(_TICK, self._publish_due, clock=self.steady_clock)
 
     def _send_imu(self, sample):
         def send() -> None:
@@ -100,35 +72,79 @@ class UavSimulatorNode(SeriesNode):
 
         return send
 
+    def _publish_due(self) -> None:
+        if self._next >= len(self._series):
+            raise SystemExit(0)
+        due = self._series[0][0] + (time.monotonic_ns() - self._started) * self._speed
+        while self._next < len(self._series) and self._series[self._next][0] <= due:
+            self._series[self._next][1]()
+            self._next += 1
 
-class RinexDriverNode(SeriesNode):
-    """Publishes the epochs of an observation file."""
+    def diagnose(self) -> DiagnosticArray:
+        """Report how much was published."""
+        done = self._next
+        level, text = (OK, 'ok') if done else (WARN, 'nothing published yet')
+        name = self.get_fully_qualified_name().lstrip('/')
+        return DiagnosticArray(status=[status(name, level, text, {'messages': done})])
+
+
+class Epochs:
+    """Gives the epochs of an observation file one by one."""
+
+    def __init__(self, epochs: list[RawEpoch]) -> None:
+        self._epochs = iter(epochs)
+
+    def read(self) -> RawEpoch | None:
+        """Return the next epoch, None at the end."""
+        return next(self._epochs, None)
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+class RinexDriverNode(SourceNode):
+    """Publishes the epochs of an observation file, each with the header's position of the antenna."""
+
+    what = 'epoch'
+    params: RinexParams
 
     def __init__(self) -> None:
         super().__init__('rinex_driver', RinexParams)
-        params = self.parameters[RinexParams]
-        try:
-            observations = read_observations(params.observations)
-            files = [read_navigation(p.strip()) for p in params.navigation.split(',') if p.strip()]
-        except RinexError as error:
-            raise ParameterError(str(error)) from error
-        if not files:
-            raise ParameterError("parameter 'navigation' is empty, expected a RINEX navigation file")
+        params = self.params
+        for name in ('observations', 'navigation'):
+            if not getattr(params, name).strip(' ,'):
+                raise ParameterError(f"parameter '{name}' is empty, expected the path of a RINEX file")
+        self._observations = self._read('observations', read_observations, params.observations)
+        names = [name.strip() for name in params.navigation.split(',') if name.strip()]
+        files = [self._read('navigation', read_navigation, name) for name in names]
         coefficients = next((f.klobuchar for f in files if math.isfinite(f.klobuchar.sum())), None)
         leap = params.leap_seconds if params.time_scale == 'utc' else 0
-        ephemerides = np.vstack([f.ephemerides for f in files])
-        builder = EpochBuilder(ephemerides, coefficients, atmosphere=params.atmosphere, leap=leap)
-        publisher, self._message = self.publish_to(codec.CLOUD, params.topic)
-        self._publish, self._frame = publisher.publish, params.frame
-        epochs = [builder.build(raw) for raw in observations.epochs]
-        if not epochs:
+        self._builder = EpochBuilder(
+            np.vstack([f.ephemerides for f in files]), coefficients, atmosphere=params.atmosphere, leap=leap
+        )
+        if not self._observations.epochs:
             raise ParameterError(f"parameter 'observations': {params.observations} has no epochs")
-        self.get_logger().info(f'{len(epochs)} epochs of {params.observations}')
-        self.begin([(epoch.stamp, self._send(epoch)) for epoch in epochs], params.speed)
+        epochs, self._message = self.publish_to(codec.CLOUD, params.topic)
+        self._publish = epochs.publish
+        self.begin(params.observations, epochs, recorded=True)
 
-    def _send(self, epoch):
-        def send() -> None:
-            codec.encode_observations(epoch, self._message, self._frame)
-            self._publish(self._message)
+    @staticmethod
+    def _read(name: str, reader: Callable[[str], Any], path: str) -> Any:
+        try:
+            return reader(path)
+        except RinexError as error:
+            raise ParameterError(f"parameter '{name}': {error}") from error
 
-        return send
+    def open(self) -> Epochs:
+        """Return the epochs of the file."""
+        return Epochs(self._observations.epochs)
+
+    def samples(self, item: RawEpoch, arrival: int) -> Iterable[GnssEpoch]:
+        """Add satellite states."""
+        return (self._builder.build(item),)
+
+    def publish(self, sample: GnssEpoch) -> bool:
+        """Publish an epoch."""
+        codec.encode_observations(sample, self._message, self.params.frame)
+        self._publish(self._message)
+        return True

@@ -30,8 +30,11 @@ setup(
                 'uav_simulator',
                 'rinex_driver',
                 'ublox_driver',
+                'nmea_driver',
+                'rtcm_driver',
                 'dgps_base',
                 'input_doctor',
+                'smoother',
             )
         ]
     },

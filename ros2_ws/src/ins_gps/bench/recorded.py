@@ -15,7 +15,6 @@ from ins_gps.channels import corrected_range
 from ins_gps.constants import SPEED_OF_LIGHT, WAVELENGTH_L1
 from ins_gps.dgps import DgpsBase
 from ins_gps.doctor import time_offset
-from ins_gps.evaluation import error_of
 from ins_gps.filter import NavigationFilter
 from ins_gps.fix import solve_position, solve_velocity
 from ins_gps.orbit import range_and_rate
@@ -23,7 +22,8 @@ from ins_gps.params import BaseParams, FilterParams
 from ins_gps.recordings import gnss_epochs, read_drive_imu, read_track, read_walk_imu
 from ins_gps.samples import ImuSample, PositionSample
 from ins_gps.simulation import HG1700, add_imu_errors
-from ins_gps.smoother import LooseSmoother
+from ins_gps.smoother import Smoother
+from ins_gps.solution import error_of
 from ins_gps.strapdown import navigation_rates
 from kalman_core.earth import ecef_from_geodetic, geodetic_from_ecef, gravity, mat_ecef_from_ned
 from kalman_core.rotation import (
@@ -281,7 +281,7 @@ def drive(root: Path, outage: float = 60.0) -> dict[str, float]:
             for t, g, h in zip(track.stamps, track.geodetic, hidden, strict=True)
             if not h
         ]
-        run = LooseSmoother(params).run(stamps, imu.rate, imu.force, samples)
+        run = Smoother(params, interval=0.5).run(stamps, imu.rate, imu.force, samples)
         t = (run.stamps - track.stamps[0]) / SECOND
         index = np.minimum(np.searchsorted(track.stamps, run.stamps), len(track.stamps) - 1)
         inside = np.flatnonzero((t >= start) & (t < start + outage - 0.3))

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from ins_gps import layout as at
-from ins_gps.filter import NANOSECONDS, NavigationFilter
+from ins_gps.filter import MAX_STEP, NANOSECONDS, NavigationFilter
 from ins_gps.prediction import imu_step
 from ins_gps.samples import Corrections, GnssEpoch, ImuSample
 from ins_gps.strapdown import NAV
@@ -22,6 +22,30 @@ def imu_series(state, channels, config, sec, nsec, rate, force, out):
     for i in range(len(sec)):
         imu_step(state, channels, config, rate[i], force[i], sec[i], nsec[i])
         out[i] = state[at.NAVIGATION : at.NAVIGATION + NAV]
+
+
+def advance(
+    navigation: NavigationFilter, stamps: np.ndarray, rate: np.ndarray, force: np.ndarray, out: np.ndarray
+) -> None:
+    """Apply IMU means (N, 3) with stamps (N,) ns; out (N, NAV) is the solution after each, if there is one.
+
+    One jitted loop where it can be; sample by sample where more than the mechanisation is asked for.
+    """
+    if not len(stamps):
+        return
+    s, params = navigation.state, navigation.params
+    before = int(s[at.SEC]) * NANOSECONDS + int(s[at.NSEC])
+    silent = max(int(stamps[0]) - before, int(np.diff(stamps).max(initial=0))) > MAX_STEP * NANOSECONDS
+    constrained = params.zero_velocity or params.non_holonomic
+    finite = bool(np.isfinite(rate).all() and np.isfinite(force).all())
+    if navigation.running and finite and not (constrained or silent or params.mode == 'gps'):
+        sec, nsec = (stamps // NANOSECONDS).astype(float), (stamps % NANOSECONDS).astype(float)
+        imu_series(s, navigation.channels, navigation.config, sec, nsec, rate, force, out)
+        return
+    for i in range(len(stamps)):
+        navigation.imu(ImuSample(int(stamps[i]), rate[i], force[i]))
+        if navigation.running:
+            out[i] = navigation.nav
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,29 +72,13 @@ def run_batch(
     A filter that is not yet running takes the IMU sample by sample until it starts. Corrections are used
     from their own stamp on. Equal stamps: IMU first, then corrections, then the epoch.
     """
-    sec, nsec = (stamps // NANOSECONDS).astype(float), (stamps % NANOSECONDS).astype(float)
     imu_nav = np.full((len(stamps), NAV), np.nan)
     records = []
     done, given = 0, 0
-    slow = navigation.params.zero_velocity or navigation.params.non_holonomic
     ends = np.searchsorted(stamps, [epoch.stamp for epoch in epochs], side='right')
     for epoch, end in zip([*epochs, None], [*ends, len(stamps)], strict=True):
-        if navigation.running and not slow and navigation.params.mode != 'gps':
-            imu_series(
-                navigation.state,
-                navigation.channels,
-                navigation.config,
-                sec[done:end],
-                nsec[done:end],
-                rate[done:end],
-                force[done:end],
-                imu_nav[done:end],
-            )
-        else:
-            for i in range(done, end):
-                navigation.imu(ImuSample(int(stamps[i]), rate[i], force[i]))
-                if navigation.running:
-                    imu_nav[i] = navigation.nav
+        part = slice(done, end)
+        advance(navigation, stamps[part], rate[part], force[part], imu_nav[part])
         done = end
         if epoch is None:
             break

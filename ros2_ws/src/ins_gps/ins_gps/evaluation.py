@@ -24,8 +24,7 @@ from ins_gps.simulation import (
     Scenario,
 )
 from ins_gps.simulation_gnss import simulate
-from kalman_core.earth import radii
-from kalman_core.rotation import quat_conjugate, quat_from_rotvec, quat_multiply, rotvec_from_quat
+from ins_gps.solution import displaced, error_of
 
 START_SIGMAS = np.r_[[3.0] * 3, [0.3] * 3, np.radians([0.3, 0.3, 0.6])]  # m, m/s, rad
 # The first seconds carry the start error, which no filter can remove before it has averaged.
@@ -65,31 +64,6 @@ def filter_params(budget: ErrorBudget, imu: ImuErrors = HG1700, **changes) -> Fi
     values.update(code)
     values.update(changes)
     return FilterParams(**values)
-
-
-def error_of(nav: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return the error (9,) that would turn `nav` (NAV,) into `truth`: m, m/s (NED), rad."""
-    meridian, normal = radii(truth[0])
-    height = truth[2]
-    out = np.empty(9)
-    out[0] = (truth[0] - nav[0]) * (meridian + height)
-    out[1] = (truth[1] - nav[1]) * (normal + height) * math.cos(truth[0])
-    out[2] = nav[2] - height
-    out[3:6] = truth[3:6] - nav[3:6]
-    out[6:9] = rotvec_from_quat(quat_multiply(truth[6:10], quat_conjugate(nav[6:10])))
-    return out
-
-
-def displaced(truth: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Return the solution (NAV,) whose `error_of` is `error`."""
-    meridian, normal = radii(truth[0])
-    nav = truth.copy()
-    nav[0] -= error[0] / (meridian + truth[2])
-    nav[1] -= error[1] / ((normal + truth[2]) * math.cos(truth[0]))
-    nav[2] += error[2]
-    nav[3:6] -= error[3:6]
-    nav[6:10] = quat_multiply(quat_from_rotvec(-error[6:9]), truth[6:10])
-    return nav
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,23 +60,24 @@ _PRIOR_INTERSYSTEM = 100.0  # m
 _LEVEL_TIME = 1.0
 # Velocities further apart (s) say nothing of the acceleration that the averaged force contains.
 _LEVEL_INTERVAL = 2.5
-_MAX_STEP = 10.0  # s: a longer silence of the IMU ends the solution
+MAX_STEP = 10.0  # s: a longer silence of the IMU ends the solution
 
 
 class NavigationFilter:
     """Error-state filter; everything that changes lies in `state`.
 
     Use it in time order: `imu`, `gnss`, `corrections`, `position`, `velocity`; each takes one sample. It
-    starts by itself from the first fix (see `FilterParams.alignment`) or by `initialise`.
+    starts by itself from the first fix (see `FilterParams.alignment`) or by `initialise`. `copies`: see
+    `layout.state_size`.
     """
 
-    def __init__(self, params: FilterParams, tally: Tally | None = None) -> None:
+    def __init__(self, params: FilterParams, tally: Tally | None = None, copies: int = 0) -> None:
         self.params = params
         self.tally = tally if tally is not None else Tally()
         self.channels = params.channels
         self.config = config_array(params)
         self._coasting_config = coasting_config(self.config)
-        self.state = np.zeros(at.state_size(self.channels))
+        self.state = np.zeros(at.state_size(self.channels, copies))
         self.report = np.zeros((0, ch.REPORT_WIDTH))
         self.summary = np.zeros(ch.SUMMARY)
         self.rows = np.zeros((0, 19))
@@ -163,7 +164,7 @@ class NavigationFilter:
         self.tally.accept('imu/data_raw', sample.stamp)
         if not self.running or self.params.mode == 'gps':
             return None
-        if sample.stamp - _stamp(s[at.SEC], s[at.NSEC]) > _MAX_STEP * NANOSECONDS:
+        if sample.stamp - _stamp(s[at.SEC], s[at.NSEC]) > MAX_STEP * NANOSECONDS:
             self.tally.restart('no IMU for more than 10 s')
             s[at.STAGE] = at.WAITING
             return None

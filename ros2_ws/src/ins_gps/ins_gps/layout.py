@@ -52,7 +52,16 @@ def error_states(channels: int) -> int:
     return CHANNEL + PER_CHANNEL * channels
 
 
-def state_size(channels: int) -> int:
-    """Return the length of the flat array with this many channels."""
-    n = error_states(channels)
-    return HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH + n * n
+def copied_states(channels: int) -> int:
+    """Return the number of error states that a frozen copy holds: all but the clone, which follows others."""
+    return error_states(channels) - (CHANNEL - CLONE)
+
+
+def state_size(channels: int, copies: int = 0) -> int:
+    """Return the length of the flat array with this many channels.
+
+    A smoother freezes `copies` errors of an earlier time behind the error states; what later measurements
+    say of them is kept in as many values at the array's end.
+    """
+    n = error_states(channels) + copies
+    return HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH + n * n + copies

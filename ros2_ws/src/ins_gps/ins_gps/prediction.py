@@ -70,9 +70,11 @@ CONFIG_PREDICTION = 12
 
 @njit(cache=True, nogil=True)
 def covariance_of(state, channels):
-    """Return the view (n, n) of the covariance within the flat array."""
-    n = CHANNEL + PER_CHANNEL * channels
+    """Return the view (n, n) of the covariance within the flat array, frozen copies included."""
+    own = CHANNEL + PER_CHANNEL * channels
     start = HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH
+    # n² + (n − own) values follow: see `layout.state_size`.
+    n = round(0.5 * (math.sqrt(1.0 + 4.0 * (len(state) - start + own)) - 1.0))
     return state[start : start + n * n].reshape((n, n))
 
 
@@ -282,3 +284,7 @@ def inject(state, channels, dx):
         state[at + C_SLOW] += dx[CHANNEL + PER_CHANNEL * i]
         state[at + C_MULTIPATH] += dx[CHANNEL + PER_CHANNEL * i + 1]
         state[at + C_NOISE] += dx[CHANNEL + PER_CHANNEL * i + 2]
+    own = CHANNEL + PER_CHANNEL * channels
+    first = len(state) - (len(dx) - own)
+    for i in range(len(dx) - own):
+        state[first + i] += dx[own + i]

@@ -6,15 +6,13 @@ import pytest
 
 from ins_gps.dgps import DgpsBase
 from ins_gps.doctor import check_gnss, check_imu, check_time, time_offset
-from ins_gps.evaluation import error_of
 from ins_gps.fixtures import FIXTURES
 from ins_gps.observations import EpochBuilder
-from ins_gps.params import BaseParams, FilterParams
+from ins_gps.params import BaseParams
 from ins_gps.rinex import RinexError, read_navigation, read_observations
-from ins_gps.samples import GnssEpoch, PositionSample
+from ins_gps.samples import GnssEpoch
 from ins_gps.simulation import STANDALONE, Scenario
 from ins_gps.simulation_gnss import simulate
-from ins_gps.smoother import LooseSmoother
 
 BASE = Scenario(trajectory='s_turns', duration=60.0, imu_rate=20.0)
 
@@ -101,29 +99,6 @@ def test_doctor_names_missing_ephemerides_and_few_satellites():
     texts = ' '.join(f.text for f in check_gnss(epochs))
     assert 'no ephemeris for G02' in texts
     assert '5 are needed' in texts
-
-
-def test_smoothing_halves_the_error_of_an_outage():
-    run = simulate(replace(BASE, trajectory='flight', duration=100.0), 8)
-    rng = np.random.default_rng(8)
-    samples = []
-    for index in range(0, 2001, 20):
-        if 900 <= index < 1500:
-            continue
-        nav = run.truth[index]
-        noise = rng.normal(0.0, 0.5, 3) / np.array([6.4e6, 6.0e6, 1.0])
-        samples.append(PositionSample(int(run.stamps[index]), nav[:3] + noise, np.eye(3) * 0.25))
-    params = FilterParams(
-        mode='loose', channels=4, alignment='velocity', accel_bias_sigma=0.05, gyro_bias_sigma=1e-4
-    )
-    out = LooseSmoother(params).run(run.stamps[1:], run.rate, run.force, samples)
-    inside = (out.stamps > run.stamps[900]) & (out.stamps < run.stamps[1499])
-    index = np.searchsorted(run.stamps, out.stamps)
-    filtered = np.array([np.linalg.norm(error_of(n, run.truth[i])[:3]) for n, i in zip(out.filtered, index)])
-    smoothed = np.array([np.linalg.norm(error_of(n, run.truth[i])[:3]) for n, i in zip(out.smoothed, index)])
-    assert smoothed[inside].max() < 0.5 * filtered[inside].max()
-    sigma = np.sqrt(np.einsum('kii->ki', out.smoothed_covariance)[:, :3])
-    assert (np.sqrt(np.einsum('kii->ki', out.filtered_covariance)[:, :3]) >= sigma - 1e-6).all()
 
 
 def test_observation_files_of_both_versions_are_read(recordings):

@@ -9,7 +9,6 @@ from ins_gps import layout as at
 from ins_gps.evaluation import (
     START_SIGMAS,
     SYSTEMS,
-    error_of,
     evaluate,
     filter_params,
     paper_systems,
@@ -20,6 +19,7 @@ from ins_gps.prediction import NAV_STATES, error_dynamics, inject
 from ins_gps.samples import GnssEpoch, ImuSample
 from ins_gps.simulation import DGPS, NOISELESS, Fault, Outage, Scenario
 from ins_gps.simulation_gnss import simulate
+from ins_gps.solution import error_of
 from ins_gps.strapdown import increments, mechanise
 from kalman_core.consistency import chi2_band
 from kalman_core.rotation import matrix_from_quat, quat_from_euler

@@ -4,8 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from ins_gps.evaluation import error_of
 from ins_gps.simulation import TRAJECTORIES, make_truth
+from ins_gps.solution import error_of
 from ins_gps.strapdown import increments, mechanise_series
 from kalman_core.earth import gravity
 from kalman_core.rotation import (

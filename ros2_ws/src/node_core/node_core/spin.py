@@ -58,9 +58,10 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError
     from rclpy.exceptions import ParameterException
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException
 
     from kalman_core.parameters import ParameterError
+    from node_core.executor import DirectExecutor
 
     # rclpy calls the handler that it finds, which has to be Python's own.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -73,7 +74,7 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
         return fail(_one_line(error))
     nodes: list[Any] = []
     try:
-        executor = SingleThreadedExecutor()
+        executor = DirectExecutor()
         built = build()
         nodes = built if isinstance(built, list) else [built]
         # The kernels and message types live as long as the process: the collector need not walk them.

@@ -20,10 +20,10 @@ from typing import Any
 
 import rclpy
 from ament_index_python import get_package_prefix
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from node_core.executor import DirectExecutor
 from node_core.message_types import message_class
 from node_core.node import reliable
 
@@ -155,7 +155,7 @@ class Probe:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = Node(name, context=self.context, start_parameter_services=False, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor = DirectExecutor(context=self.context)
         self._executor.add_node(self.node)
 
     def close(self) -> None:

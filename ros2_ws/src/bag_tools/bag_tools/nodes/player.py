@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 from bag_tools.bag import BagError, BagReader, Topic
 from bag_tools.nodes.lockstep import LockStep
 from bag_tools.play import NANOSECONDS, Pace, Playlist, PlayOptions, clock_ticks
+from node_core.executor import DirectExecutor
 from node_core.message_types import message_class
 
 # Graph changes are waited for; this only bounds how late a change without an event is seen.
@@ -49,7 +50,7 @@ class Player(Node):
         super().__init__('player')
         self._options = options
         self._playlist = Playlist(reader, options)
-        self._executor = SingleThreadedExecutor()
+        self._executor = DirectExecutor()
         self._executor.add_node(self)
         self._paused = options.paused
         self._steps = 0
@@ -99,6 +100,11 @@ class Player(Node):
         if not self.context.ok():
             raise ExternalShutdownException
         self._executor.spin_once(timeout_sec=max(seconds, 0.0))
+
+    def destroy_node(self) -> None:
+        """Let go of what is waited for, then close."""
+        self._executor.shutdown()
+        super().destroy_node()
 
     def wait_for_subscribers(self) -> None:
         """Wait until what `wait_for` names, or else any subscriber, is matched and the graph is at rest."""

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.typesys.store import Typestore
@@ -21,6 +20,7 @@ from rosbags.typesys.store import Typestore
 from bag_tools.bag import BagError, BagWriter, jazzy, reliable_qos
 from bag_tools.nodes.definitions import installed_store
 from bag_tools.record import RecordOptions, StopRule, has_header, header_stamp
+from node_core.executor import DirectExecutor
 from node_core.lockstep import TOPIC as LOCKSTEP_TOPIC
 from node_core.lockstep import Acknowledger
 from node_core.message_types import message_class
@@ -116,9 +116,7 @@ class Recorder(Node):
                     receive(taken[0])
 
 
-def _wait_for_topics(
-    node: Recorder, executor: SingleThreadedExecutor, options: RecordOptions, stop: list
-) -> None:
+def _wait_for_topics(node: Recorder, executor: DirectExecutor, options: RecordOptions, stop: list) -> None:
     deadline = time.monotonic() + options.wait_timeout
     while (missing := node.look()) and not stop:
         if time.monotonic() > deadline:
@@ -128,8 +126,15 @@ def _wait_for_topics(
 
 def record(node: Recorder, options: RecordOptions, stop: list) -> None:
     """Record until `stop` is filled (by a signal) or the options' rule says so."""
-    executor = SingleThreadedExecutor()
+    executor = DirectExecutor()
     executor.add_node(node)
+    try:
+        _record(node, executor, options, stop)
+    finally:
+        executor.shutdown()
+
+
+def _record(node: Recorder, executor: DirectExecutor, options: RecordOptions, stop: list) -> None:
     _wait_for_topics(node, executor, options, stop)
     node.join()
     node.get_logger().info('recording' if not options.topics else f'recording {" ".join(options.topics)}')

@@ -9,6 +9,7 @@ of rosbags; whatever is not plain (big endian, damaged, wide strings) is left to
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -39,7 +40,7 @@ class _Unsupported(Exception):
     """A type has a field that only rosbags handles."""
 
 
-class _Writer:
+class _Writer(ABC):
     """Collects the source of one function, and the struct that is being filled.
 
     `known` and `offset`: the position is `offset` modulo `known`, as far as that is known when compiling.
@@ -85,8 +86,9 @@ class _Writer:
         self.size += size
         self.offset = (self.offset + size) % self.known
 
+    @abstractmethod
     def flush(self) -> None:
-        raise NotImplementedError
+        """Emit the lines of the pieces gathered so far."""
 
 
 class _Decoder(_Writer):

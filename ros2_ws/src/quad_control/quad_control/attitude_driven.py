@@ -4,9 +4,9 @@
 In free flight an accelerometer measures thrust and drag, hardly any tilt. So it does not correct the
 attitude here; it drives a velocity, and two weak facts about multirotors correct that velocity: rotor drag
 makes the horizontal specific force −d·v (Leishman, Abeywardena, IEEE CSM 34(1), 2014), and a craft does not
-run away from hover for ever (velocity = 0 with a wide noise). Tilt and gyro bias follow through the
-covariance. While the craft stands (`attitude_filter` decides) velocity = 0 holds tightly instead, which
-levels it.
+run away from hover for ever (velocity = 0 with a wide noise, less wide for the climb). Tilt and gyro bias
+follow through the covariance. While the craft stands (`attitude_model` decides) velocity = 0 holds tightly
+instead, which levels it.
 
 Error state (9,): attitude error in the local-level frame (rad, ``q_true = exp(error) q``), gyro bias
 (rad/s, body), velocity (m/s, ENU). Source of the error equations: Sola (2017), global angular error.
@@ -94,10 +94,11 @@ def update(q, b, v, P, h, innovation, variance):
 
 
 @njit(cache=True, nogil=True)
-def correct(q, b, v, P, force, dt, drag, drag_psd, hover_psd):
+def correct(q, b, v, P, force, dt, drag, drag_psd, hover_psd, climb_psd):
     """Correct with rotor drag along body x and y and with velocity = 0, in place.
 
-    `drag` 1/s; `*_psd` are the noises' power spectral densities, so a sample of `dt` counts psd/dt.
+    `drag` 1/s; `*_psd` are the noises' power spectral densities, so a sample of `dt` counts psd/dt: of the
+    drag, of both horizontal velocities and of the vertical one.
     Returns the sum of both drag terms' normalised innovations squared (2 degrees of freedom), 0 without.
     """
     nis = 0.0
@@ -116,6 +117,6 @@ def correct(q, b, v, P, force, dt, drag, drag_psd, hover_psd):
     h[:] = 0.0
     for axis in range(3):
         h[6 + axis] = 1.0
-        update(q, b, v, P, h, -v[axis], hover_psd / dt)
+        update(q, b, v, P, h, -v[axis], (climb_psd if axis == 2 else hover_psd) / dt)
         h[6 + axis] = 0.0
     return nis

@@ -10,277 +10,18 @@ import numpy as np
 
 from kalman_core.event_time import NANOSECONDS, EventTimeBuffer
 from kalman_core.health import Tally
-from kalman_core.rotation import euler_from_quat, matrix_from_quat, quat_from_euler
-from quad_control import attitude_driven as driven
+from kalman_core.rotation import matrix_from_quat
 from quad_control import attitude_published as published
-from quad_control import stillness
-from quad_control.params import GRAVITY, AttitudeParams
-from quad_control.samples import Attitude, ImuSample, RawAngle, SettledAttitude
+from quad_control.attitude_model import SENSOR, AttitudeModel
+from quad_control.params import AttitudeParams
+from quad_control.samples import ImuSample, RawAngle, SettledAttitude
 
-SENSOR = 'imu/data_raw'
 # Beyond any MEMS range (±2000 °/s, ±16 g), so a decoding fault or a broken wire.
 _MAX_RATE, _MAX_FORCE = 40.0, 200.0
 # A specific force below this has no direction to start from (m/s²).
 _LEAST_FORCE = 0.5
-# Steps longer than this (s) hide motion: the tilt variance grows by (this rate (rad/s) × excess)².
-_GAP, _HIDDEN_RATE = 0.05, 1.0
-# A longer gap starts the tilt anew from the accelerometer (the bias is kept).
-_LONG_GAP = 1.0
-# A frozen gyro says nothing: its rate error is that of a craft that turns anyhow within ±500 °/s.
-_FROZEN_VARIANCE = (math.radians(500.0) ** 2) / 3.0
 # Samples in a row from another frame before it is taken for a changed set-up (1 s at 200 Hz).
 _FRAME_CONFIRMATIONS = 200
-# chi-square, 2 degrees of freedom, probability 10⁻³: shown in diagnostics, nothing is rejected by it.
-_NIS_GATE = 13.8
-
-# Flat state: everything that roll-back restores.
-_SEC, _NANO, _STARTED, _CALIBRATED, _FROZEN = 0, 1, 2, 3, 4
-_LAST = slice(5, 11)
-_STILL = slice(11, 25)
-_Q = slice(25, 29)
-_B = slice(29, 32)
-_V = slice(32, 35)
-_P = slice(35, 116)
-_ROLL_X, _PITCH_X = slice(116, 118), slice(118, 120)
-_ROLL_P, _PITCH_P = slice(120, 124), slice(124, 128)
-_YAW, _STANDING = 128, 129
-_REFERENCE = slice(130, 133)
-_SIZE = 133
-
-
-class _Model:
-    """The filter proper, on a flat state; `EventTimeBuffer` rolls it back."""
-
-    def __init__(self, params: AttitudeParams, tally: Tally) -> None:
-        self.params = params
-        self._tally = tally
-        self.state = np.zeros(_SIZE)
-        s = self.state
-        self.still, self.q, self.b, self.v = s[_STILL], s[_Q], s[_B], s[_V]
-        self.P = s[_P].reshape(9, 9)
-        self.axes = (
-            (s[_ROLL_X], s[_ROLL_P].reshape(2, 2)),
-            (s[_PITCH_X], s[_PITCH_P].reshape(2, 2)),
-        )
-        self.reset()
-
-    def reset(self) -> None:
-        p = self.params
-        s = self.state
-        s[:] = 0.0
-        self.q[0] = 1.0
-        self.P[:] = np.diag([p.tilt_prior**2] * 3 + [p.bias_prior**2] * 3 + [p.velocity_prior**2] * 3)
-        self.P[2, 2] = 1e-6  # heading is a convention until a reference comes: it starts at zero
-        for _, covariance in self.axes:
-            covariance[:] = np.diag([published.ANGLE_PRIOR, published.RATE_PRIOR])
-
-    def start(self, quaternion: np.ndarray, bias: np.ndarray, tilt: float, bias_sigma: float) -> None:
-        """Begin with a known attitude (4,), gyro bias (3,) rad/s and their σ (rad, rad/s)."""
-        s = self.state
-        s[_STARTED] = s[_CALIBRATED] = 1.0
-        self.q[:] = quaternion
-        self.b[:] = bias
-        self.v[:] = 0.0
-        self.P[:] = np.diag([tilt**2] * 3 + [bias_sigma**2] * 3 + [self.params.velocity_prior**2 * 1e-2] * 3)
-        roll, pitch, yaw = euler_from_quat(self.q)
-        self.axes[0][0][:] = roll, 0.0
-        self.axes[1][0][:] = pitch, 0.0
-        s[_YAW] = yaw
-
-    def apply(self, port: int, sample: ImuSample) -> Attitude:
-        p = self.params
-        s = self.state
-        gyro = np.array(sample.rate)
-        force = np.array(sample.force) - np.array(p.accelerometer_offset)
-        second, nano = divmod(sample.stamp, NANOSECONDS)
-        dt = (second - s[_SEC]) + (nano - s[_NANO]) * 1e-9
-        first = s[_SEC] == 0.0 and s[_NANO] == 0.0
-        if first:
-            dt = p.period
-        if not s[_STARTED]:
-            self._level(force)
-        elif dt > _LONG_GAP:
-            self._start_anew(force)
-            dt = p.period
-        elif dt > _GAP:
-            for i in range(3):
-                self.P[i, i] += (_HIDDEN_RATE * (dt - _GAP)) ** 2
-            stillness.clear(self.still)
-        s[_SEC], s[_NANO] = second, nano
-        last = s[_LAST]
-        same = bool(np.array_equal(last[:3], gyro) and np.array_equal(last[3:], force))
-        s[_FROZEN] = s[_FROZEN] + 1.0 if same else 0.0
-        last[:3] = gyro
-        last[3:] = force
-
-        self._calibrate(gyro, force, dt)
-        self._stand(gyro, force)
-        nis = self._driven_step(gyro, force, dt)
-        if p.filter != 'gyro_driven':
-            nis = self._published_step(gyro, force, dt)
-        self._tally.accept(SENSOR, sample.stamp, nis, _NIS_GATE)
-        return self._estimate(sample)
-
-    def _level(self, force: np.ndarray) -> None:
-        self.q[:] = driven.tilt_quaternion(force[0], force[1], force[2])
-        roll, pitch = published.accelerometer_angles(force[0], force[1], force[2])
-        self.axes[0][0][:] = roll, 0.0
-        self.axes[1][0][:] = pitch, 0.0
-        self.state[_STARTED] = 1.0
-        self.state[_STANDING] = 1.0  # until it moves: the first sample that does not fit ends it
-        self.state[_REFERENCE] = force
-
-    def _start_anew(self, force: np.ndarray) -> None:
-        """Begin again from the accelerometer after a long silence; the gyro bias is kept."""
-        p = self.params
-        bias_block = self.P[3:6, 3:6].copy()
-        self.P[:] = np.diag([p.tilt_prior**2] * 3 + [0.0] * 3 + [p.velocity_prior**2] * 3)
-        self.P[3:6, 3:6] = bias_block
-        self.v[:] = 0.0
-        for _, covariance in self.axes:
-            covariance[:] = np.diag([published.ANGLE_PRIOR, published.RATE_PRIOR])
-        self._level(force)
-        stillness.clear(self.still)
-
-    def _calibrate(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> None:
-        p = self.params
-        s = self.state
-        verdict = stillness.add(
-            self.still,
-            gyro,
-            force,
-            dt,
-            p.calibration_time,
-            p.still_rate,
-            p.still_acceleration,
-            p.still_bias,
-        )
-        if verdict == 0:
-            return
-        # A sensor that repeats itself is not a craft at rest.
-        if verdict == 1 and not self._frozen:
-            variance = p.bias_sigma**2
-            mean = self.still[2:5].copy()
-            if stillness.force_spread(self.still) <= p.ground_acceleration:
-                s[_STANDING] = 1.0
-                s[_REFERENCE] = self.still[5:8]
-            if not s[_CALIBRATED]:
-                # Heading has turned with the unknown bias meanwhile; the craft has not.
-                if s[_STANDING]:
-                    self.q[:] = driven.tilt_quaternion(self.still[5], self.still[6], self.still[7])
-                    self.v[:] = 0.0
-                    s[_YAW] = 0.0
-                s[_CALIBRATED] = 1.0
-                self.b[:] = mean
-                self.P[3:6, :] = 0.0
-                self.P[:, 3:6] = 0.0
-                self.P[3:6, 3:6] = variance * np.eye(3)
-            else:
-                row = np.zeros(driven.N)
-                for i in range(3):
-                    row[3 + i] = 1.0
-                    driven.update(self.q, self.b, self.v, self.P, row, mean[i] - self.b[i], variance)
-                    row[3 + i] = 0.0
-        stillness.clear(self.still)
-
-    def _stand(self, gyro: np.ndarray, force: np.ndarray) -> None:
-        """End standing when the craft turns or the specific force changes."""
-        p = self.params
-        s = self.state
-        if not s[_STANDING]:
-            return
-        turning = np.abs(gyro).max() > p.still_bias + 3.0 * p.still_rate
-        moving = np.abs(force - s[_REFERENCE]).max() > p.ground_departure
-        shaken = abs(math.sqrt(force @ force) - GRAVITY) > 2.0 * p.ground_departure
-        if turning or moving or shaken:
-            s[_STANDING] = 0.0
-
-    def _driven_step(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> float:
-        p = self.params
-        driven.predict(
-            self.q,
-            self.b,
-            self.v,
-            self.P,
-            gyro,
-            force,
-            dt,
-            p.gyro_noise**2,
-            p.bias_walk**2,
-            p.specific_force_noise**2,
-        )
-        standing = bool(self.state[_STANDING])
-        return driven.correct(
-            self.q,
-            self.b,
-            self.v,
-            self.P,
-            force,
-            dt,
-            0.0 if standing else p.drag,
-            p.drag_noise**2,
-            p.ground_noise**2 if standing else p.hover_noise**2,
-        )
-
-    def _published_step(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> float:
-        p = self.params
-        paper = p.filter == 'published'
-        step = p.period if paper else dt
-        q11 = published.printed_q11(p.angular_acceleration, step, paper)
-        factor = published.adaptive_factor(force[0], force[1], force[2], p.adaptive_gain, p.adaptive_deadband)
-        angles = published.accelerometer_angles(force[0], force[1], force[2])
-        nis = 0.0
-        for axis, (x, covariance) in enumerate(self.axes):
-            innovation, variance = published.step(
-                x,
-                covariance,
-                step,
-                p.angular_acceleration,
-                q11,
-                angles[axis],
-                p.angle_variance * factor,
-                gyro[axis] - self.b[axis],
-                0.0 if paper else p.rate_variance,
-            )
-            nis += innovation * innovation / variance
-        self.state[_YAW] = math.remainder(self.state[_YAW] + step * (gyro[2] - self.b[2]), 2.0 * math.pi)
-        return nis
-
-    @property
-    def _frozen(self) -> bool:
-        limit = self.params.frozen_samples
-        return limit > 0 and self.state[_FROZEN] >= limit - 1
-
-    def _estimate(self, sample: ImuSample) -> Attitude:
-        p = self.params
-        P = self.P
-        gx, gy, gz = sample.rate
-        bx, by, bz = (float(v) for v in self.b)
-        rate = (gx - bx, gy - by, gz - bz)
-        q = self.q
-        # The accelerometer bias is not a state: neither standing nor drag can tell it from tilt.
-        unseen = (p.accelerometer_bias / GRAVITY) ** 2
-        variance = (float(P[0, 0]) + unseen, float(P[1, 1]) + unseen, float(P[2, 2]))
-        if p.filter != 'gyro_driven':
-            (roll, rolling), (pitch, pitching) = self.axes[0][0], self.axes[1][0]
-            q = quat_from_euler(roll, pitch, self.state[_YAW])
-            if p.filter == 'published':
-                rate = (float(rolling), float(pitching), rate[2])
-            variance = (float(self.axes[0][1][0, 0]), float(self.axes[1][1][0, 0]), variance[2])
-        if self._frozen:
-            spread = (_FROZEN_VARIANCE,) * 3
-        else:
-            white = p.gyro_noise**2 / p.period  # of one sample; it is not in the state
-            spread = (float(P[3, 3]) + white, float(P[4, 4]) + white, float(P[5, 5]) + white)
-        return Attitude(
-            sample.stamp,
-            (float(q[0]), float(q[1]), float(q[2]), float(q[3])),
-            rate,
-            sample.force,
-            variance,
-            spread,
-            sample.frame,
-        )
 
 
 class AttitudeFilter:
@@ -292,7 +33,7 @@ class AttitudeFilter:
     def __init__(self, params: AttitudeParams | None = None) -> None:
         self.params = params or AttitudeParams()
         self.tally = Tally()
-        self._model = _Model(self.params, self.tally)
+        self._model = AttitudeModel(self.params, self.tally)
         self._buffer = EventTimeBuffer(
             self._model, (SENSOR,), self.tally, window=round(self.params.window * NANOSECONDS)
         )
@@ -312,12 +53,12 @@ class AttitudeFilter:
     @property
     def calibrated(self) -> bool:
         """Whether a still window has given a gyro bias."""
-        return bool(self._model.state[_CALIBRATED])
+        return self._model.calibrated
 
     @property
     def frozen(self) -> bool:
         """Whether the sensor repeats one sample."""
-        return self._model._frozen
+        return self._model.frozen
 
     def start(
         self, quaternion: Any, bias: Any = (0.0, 0.0, 0.0), tilt: float = 1e-3, bias_sigma: float = 1e-3
@@ -342,7 +83,7 @@ class AttitudeFilter:
     def on_imu(self, sample: ImuSample) -> list | None:
         """Take one IMU sample; None when it was rejected or came late."""
         reason = _unusable(sample)
-        if not reason and not self.state[_STARTED] and math.hypot(*sample.force) < _LEAST_FORCE:
+        if not reason and not self._model.started and math.hypot(*sample.force) < _LEAST_FORCE:
             reason = 'no specific force to start from'
         if reason:
             self.tally.reject(SENSOR, reason)
@@ -384,7 +125,7 @@ class AttitudeFilter:
         return {
             'calibrated': self.calibrated,
             'frozen': self.frozen,
-            'standing': bool(m.state[_STANDING]),
+            'standing': m.standing,
             'bias_x_rad_s': bias[0],
             'bias_y_rad_s': bias[1],
             'bias_z_rad_s': bias[2],

@@ -39,7 +39,7 @@ class AttitudeParams:
         0.05, 'sigma of the gyro bias before calibration', unit='rad/s', minimum=1e-6
     )
     tilt_prior: float = parameter(
-        0.3, 'sigma of the first tilt (the craft may already fly)', unit='rad', minimum=1e-4
+        0.4, 'sigma of the first tilt (the craft may already fly)', unit='rad', minimum=1e-4
     )
     velocity_prior: float = parameter(2.0, 'sigma of the velocity at start', unit='m/s', minimum=1e-3)
     specific_force_noise: float = parameter(
@@ -48,6 +48,12 @@ class AttitudeParams:
     hover_noise: float = parameter(
         2.0,
         'noise of the pseudo-measurement velocity = 0: how far the craft strays from hover',
+        unit='m/s/sqrt(Hz)',
+        minimum=1e-3,
+    )
+    climb_noise: float = parameter(
+        0.6,
+        'the same for the vertical velocity: height is held better than place',
         unit='m/s/sqrt(Hz)',
         minimum=1e-3,
     )

@@ -8,7 +8,8 @@ import math
 from numba import njit
 
 # Layout of the (14,) array: time in window (s), samples, mean and sum of squares of gyro and accelerometer.
-_TIME, _COUNT, _MEAN, _SQUARES = 0, 1, 2, 8
+_TIME, _MEAN, _SQUARES = 0, 2, 8
+COUNT, GYRO, FORCE = 1, slice(2, 5), slice(5, 8)
 SIZE = 14
 # Below this many samples a spread says nothing.
 _LEAST_SAMPLES = 10
@@ -26,13 +27,13 @@ def add(w, gyro, force, dt, length, rate_spread, force_spread, largest_mean):
     """Add a sample (3,), (3,) after `dt` (s) to the window `w` (14,).
 
     Returns 0 while the window of `length` (s) is open, 1 when it closed and the craft was still, 2 when it
-    closed and it was not; the caller reads the mean gyro in w[2:5] and the mean force in w[5:8] after a 1
+    closed and it was not; the caller reads the means w[GYRO] and w[FORCE] after a 1
     and clears the window. Still: spreads (σ) of gyro and accelerometer under `rate_spread` (rad/s) and
     `force_spread` (m/s²), mean rate under `largest_mean` (rad/s) on each axis.
     """
     w[_TIME] += dt
-    w[_COUNT] += 1.0
-    n = w[_COUNT]
+    w[COUNT] += 1.0
+    n = w[COUNT]
     for i in range(6):
         value = gyro[i] if i < 3 else force[i - 3]
         delta = value - w[_MEAN + i]
@@ -57,4 +58,4 @@ def force_spread(w):
     largest = 0.0
     for i in range(3, 6):
         largest = max(largest, w[_SQUARES + i])
-    return math.sqrt(largest / max(w[_COUNT] - 1.0, 1.0))
+    return math.sqrt(largest / max(w[COUNT] - 1.0, 1.0))

@@ -79,7 +79,7 @@ def test_the_drag_row_is_the_numerical_one(axis):
     force[axis] = predicted(state) + 1e-3
     force[1 - axis] = predicted_other(state, 1 - axis, drag)
     before = (q.copy(), b.copy(), v.copy())
-    driven.correct(q, b, v, P, force, 1.0, drag, 1e6, 1e18)
+    driven.correct(q, b, v, P, force, 1.0, drag, 1e6, 1e18, 1e18)
     assert boxminus((q, b, v), before) * 1e6 / 1e-3 == pytest.approx(numeric, rel=1e-3, abs=1e-4)
 
 

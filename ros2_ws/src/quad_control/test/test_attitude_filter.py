@@ -149,6 +149,38 @@ def test_a_long_gap_starts_the_tilt_anew_and_keeps_the_bias():
     assert out[0].attitude_variance[0] > 0.01
 
 
+def flying(seed, roll, vibration, seconds=0.1):
+    """Samples of a craft that flies banked: thrust along its own z axis, and vibration (m/s²)."""
+    rng = np.random.default_rng(seed)
+    thrust = np.array([0.0, 0.0, GRAVITY / math.cos(roll)])
+    return [
+        ImuSample(START + i * STEP, (0.0, 0.0, 0.0), tuple(thrust + vibration * rng.standard_normal(3)))
+        for i in range(round(seconds / 5e-3))
+    ]
+
+
+def test_a_start_in_flight_is_near_level_whatever_the_vibration_says():
+    # One sample of the accelerometer alone would be wrong by 5 m/s² / g = 29° in each axis.
+    worst = 0.0
+    for seed in range(20):
+        out = run(AttitudeFilter(), flying(seed, roll=0.3, vibration=5.0))
+        worst = max(worst, tilt_error(out[-1].quaternion, (1.0, 0.0, 0.0, 0.0)))
+    assert worst < math.radians(10.0)
+
+
+@pytest.mark.parametrize('roll', [0.5, -1.2, 2.5])
+def test_a_start_on_a_slope_has_its_tilt_at_once(roll):
+    out = run(AttitudeFilter(), still(3, roll=roll))
+    assert tilt_error(out[-1].quaternion, quat_from_euler(roll, 0.0, 0.0)) < 0.02
+
+
+def test_a_still_window_as_short_as_a_step_leaves_the_start_alone():
+    f = AttitudeFilter(AttitudeParams(calibration_time=0.1, period=0.1))
+    slow = [s._replace(stamp=START + 20 * i * STEP) for i, s in enumerate(still(5, roll=0.4))]
+    out = run(f, slow)
+    assert tilt_error(out[0].quaternion, quat_from_euler(0.4, 0.0, 0.0)) < 0.02
+
+
 def hover_errors(seed, seconds=20.0):
     """Errors over σ at the end of a flight with rotor drag; the truth is made here, not by the plant."""
     rng = np.random.default_rng(seed)

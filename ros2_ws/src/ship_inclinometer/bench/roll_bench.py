@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,33 +76,38 @@ def analyse(t: np.ndarray, heel: np.ndarray) -> list[RollCycle]:
     return cycles
 
 
-def period_score(seeds: Iterable[int], settle: float = 120.0) -> dict[str, float]:
-    """Return the share of true cycles of 3° and more whose period was reported within max(5 %, 1 s).
+class SeaScore(NamedTuple):
+    """Cycles of 3° and more, those reported within max(5 %, 1 s), each delay beyond T/4 [s]."""
 
-    A cycle that was not reported within a quarter of a period of its maximum counts as missed. The delay is
-    the 99th percentile of its excess over T/4.
+    cycles: int
+    good: int
+    excesses: list[float]
+
+
+def period_score(seas: tuple[float, float], seed: int, settle: float = 120.0) -> SeaScore:
+    """Return how one sea's periods were told.
+
+    A cycle that was not reported within a quarter of a period of its maximum counts as missed.
     """
+    t, heel = heel_of_sea(*seas, seed)
+    found = analyse(t, observed(heel, seed))
+    truth = true_maxima(t, heel, 2.0)
     good = total = 0
     excesses = []
-    for peak_period, natural in SEAS:
-        for seed in seeds:
-            t, heel = heel_of_sea(peak_period, natural, seed)
-            found = analyse(t, observed(heel, seed))
-            truth = true_maxima(t, heel, 2.0)
-            for side in (1, -1):
-                same = [m for m in truth if m[1] == side]
-                reported = [c for c in found if c.side == side]
-                for before, after in itertools.pairwise(same):
-                    if after[0] < settle or min(before[2], after[2]) < 3.0:
-                        continue
-                    period = after[0] - before[0]
-                    total += 1
-                    near = min(reversed(reported), key=lambda c: abs(c.time - after[0]), default=None)
-                    if near is None or abs(near.time - after[0]) > 0.25 * period:
-                        continue
-                    excesses.append(near.delay - 0.25 * period)
-                    good += abs(near.period - period) <= max(0.05 * period, 1.0)
-    return {'share': 100.0 * good / total, 'cycles': total, 'excess': float(np.quantile(excesses, 0.99))}
+    for side in (1, -1):
+        same = [m for m in truth if m[1] == side]
+        reported = [c for c in found if c.side == side]
+        for before, after in itertools.pairwise(same):
+            if after[0] < settle or min(before[2], after[2]) < 3.0:
+                continue
+            period = after[0] - before[0]
+            total += 1
+            near = min(reversed(reported), key=lambda c: abs(c.time - after[0]), default=None)
+            if near is None or abs(near.time - after[0]) > 0.25 * period:
+                continue
+            excesses.append(near.delay - 0.25 * period)
+            good += abs(near.period - period) <= max(0.05 * period, 1.0)
+    return SeaScore(total, good, excesses)
 
 
 def sine_error(periods: Iterable[float]) -> float:

@@ -89,41 +89,62 @@ def undeclared_error(seed: int) -> float:
     return worst
 
 
-def recorded_sphere() -> np.ndarray | None:
-    """Return the recorded HMC5883L sphere (N, 3) [G], None where the data or h5py are missing."""
-    folder = Path(os.environ.get('ESTIMATOR_DATA', '../shared/data'))
-    path = folder / 'ship/mpu6050_hmc5883l/full-sphere/hmc5883l_compass.mat'
+def _recorded(folder: str) -> np.ndarray | None:
+    """Return a recording of the HMC5883L (N, 3) [G], None where the data or h5py are missing."""
+    path = Path(os.environ.get('ESTIMATOR_DATA', '../shared/data')) / 'ship/mpu6050_hmc5883l' / folder
     try:
         import h5py
 
-        with h5py.File(path) as file:
+        with h5py.File(path / 'hmc5883l_compass.mat') as file:
             return np.array(next(iter(file.values())))[1:].T
     except (ImportError, OSError):
         return None
 
 
-def held_out_spread(raw: np.ndarray, block: int, folds: int) -> float:
-    """Return the spread [%] of the norm on samples not used for the fit, every `folds`-th block."""
-    group = np.arange(len(raw)) // block % folds
+def recorded_sphere() -> np.ndarray | None:
+    """Return the recorded sphere (N, 3) [G], None where the data or h5py are missing."""
+    return _recorded('full-sphere')
+
+
+def blocks(count: int, length: int, folds: int) -> np.ndarray:
+    """Return the fold (count,) of each sample when blocks of `length` samples go to the folds in turn."""
+    return np.arange(count) // length % folds
+
+
+def held_out_spread(raw: np.ndarray, fold_of: np.ndarray) -> float:
+    """Return the spread [%] of the norm of each fold's samples, calibrated by the other folds."""
     norms = np.empty(len(raw))
-    for fold in range(folds):
-        calibration = fit_ellipsoid(raw[group != fold])
-        norms[group == fold] = (
-            np.linalg.norm(calibration.apply(raw[group == fold]), axis=1) / calibration.norm
+    for fold in np.unique(fold_of):
+        calibration = fit_ellipsoid(raw[fold_of != fold])
+        norms[fold_of == fold] = (
+            np.linalg.norm(calibration.apply(raw[fold_of == fold]), axis=1) / calibration.norm
         )
     return 100.0 * float(np.std(norms) / np.mean(norms))
 
 
 def sphere_rows() -> Iterator[Row]:
     """Yield the rows of the real sphere, nothing where it is missing."""
-    raw = recorded_sphere()
-    if raw is None:
+    raw, still = recorded_sphere(), _recorded('unmoved-with-x-pointing-forward-10min')
+    if raw is None or still is None:
         return
     norms = np.linalg.norm(raw, axis=1)
-    peers = {'raw': 100.0 * float(np.std(norms) / np.mean(norms))}
-    name = 'real HMC5883L sphere: spread of held-out norms'
-    yield row(f'{name}, 5 folds of 0.65 s blocks', held_out_spread(raw, 50, 5), '%', 0.5, reference=peers)
-    yield row(f'{name}, halves of 2.6 s blocks', held_out_spread(raw, 200, 2), '%', 0.5, reference=peers)
+    still_norms = np.linalg.norm(still, axis=1)
+    peers = {
+        'raw': 100.0 * float(np.std(norms) / np.mean(norms)),
+        'the same chip lying still': 100.0 * float(np.std(still_norms) / np.mean(still_norms)),
+    }
+    count = len(raw)
+    splits = {
+        'random fifths': np.random.default_rng(0).permutation(count) % 5,
+        '5 folds of 0.65 s blocks': blocks(count, 50, 5),
+        'halves of 2.6 s blocks': blocks(count, 200, 2),
+        'contiguous tenths': np.arange(count) * 10 // count,
+        'contiguous fifths': np.arange(count) * 5 // count,
+    }
+    for name, fold_of in splits.items():
+        spread = held_out_spread(raw, fold_of)
+        name = f'real HMC5883L sphere: spread of held-out norms, {name}'
+        yield row(name, spread, '%', 0.5, reference=peers)
 
 
 class _Owner:

@@ -64,12 +64,13 @@ def _stamped(t: np.ndarray) -> np.ndarray:
     return np.round(t * 1e9) / 1e9
 
 
-def attitude_errors(recording: Recording, rows: np.ndarray) -> AttitudeErrors:
-    """Return estimate minus truth of a run."""
+def attitude_errors(recording: Recording, rows: np.ndarray, every: int = 1) -> AttitudeErrors:
+    """Return estimate minus truth of a run, at each `every`-th IMU sample."""
+    rows, angles_true = rows[::every], recording.truth.angles[::every]
     estimate, covariance = _matrices(rows[:, :4]), np.zeros((len(rows), 3, 3))
     for column, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
         covariance[:, i, j] = covariance[:, j, i] = rows[:, 4 + column]
-    truth = rotation_matrices(recording.truth.angles)
+    truth = rotation_matrices(angles_true)
     difference = truth @ np.swapaxes(estimate, 1, 2)
     vector = 0.5 * np.column_stack(
         [
@@ -81,7 +82,7 @@ def attitude_errors(recording: Recording, rows: np.ndarray) -> AttitudeErrors:
     roll = np.arctan2(estimate[:, 2, 1], estimate[:, 2, 2])
     pitch = -np.arcsin(np.clip(estimate[:, 2, 0], -1.0, 1.0))
     yaw = np.arctan2(estimate[:, 1, 0], estimate[:, 0, 0])
-    angles = np.column_stack([roll, pitch, yaw]) - recording.truth.angles
+    angles = np.column_stack([roll, pitch, yaw]) - angles_true
     angles = np.degrees((angles + np.pi) % (2.0 * np.pi) - np.pi)
     tilt = np.einsum('ni,nij,nj->n', vector[:, :2], np.linalg.inv(covariance[:, :2, :2]), vector[:, :2])
     full = np.einsum('ni,nij,nj->n', vector, np.linalg.inv(covariance), vector)

@@ -151,7 +151,7 @@ def imu_step(state, c, t, gyro, force, nis):
     )
     state[S_RATE : S_RATE + 3] = rate
     state[S_FORCE : S_FORCE + 3] = corrected
-    _observe(state, c, force, force_n, rate_z, dt)
+    _observe(state, cov, mat[2], force, force_n, rate_z, dt)
     if state[S_PHASE] == PHASE_RUN:
         _integrate(state, c, force_n, rate_z, dt)
     propagate(state, cov, c, mat, force_n, rate_z, dt)
@@ -217,13 +217,20 @@ def _start_running(state, cov, c):
 
 
 @njit(cache=True, nogil=True)
-def _observe(state, c, force, force_n, rate_z, dt):
-    """Follow rate of turn, vibration and the slow level force."""
+def _observe(state, cov, up, force, force_n, rate_z, dt):
+    """Follow rate of turn, vibration and the slow level force; up (3,) is the vertical in body axes."""
     # 5 s: over half a wave period, so that yawing in waves does not pass for a turn.
     state[S_TURN] += dt / (5.0 + dt) * (rate_z - state[S_TURN])
     state[S_SLOW_TURN] += dt / (3.0 + dt) * (state[S_TURN] - state[S_SLOW_TURN])
-    if abs(state[S_SLOW_TURN]) > TURNING:
-        state[S_TURN_END] = state[S_TIME]
+    turning = abs(state[S_SLOW_TURN]) - TURNING
+    if turning > 0.0:
+        # A gyro bias that is not yet known turns as well.
+        doubt = 0.0
+        for i in range(3):
+            for j in range(3):
+                doubt += up[i] * cov[BG + i, BG + j] * up[j]
+        if turning**2 > 9.0 * doubt:
+            state[S_TURN_END] = state[S_TIME]
     smooth = dt / (0.03 + dt)
     fast = 0.0
     for i in range(3):

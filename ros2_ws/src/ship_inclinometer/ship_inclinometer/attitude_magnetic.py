@@ -21,6 +21,8 @@ from ship_inclinometer.attitude_layout import (
     MAG_NORM,
     MAG_RELEARNED,
     OK,
+    P_,
+    PHASE_ALIGN,
     RELEARNED_DEVIATION,
     S_COV,
     S_DIP,
@@ -31,10 +33,19 @@ from ship_inclinometer.attitude_layout import (
     S_MAG_LAST_TIME,
     S_MAG_R,
     S_NORM,
+    S_P,
+    S_PHASE,
     S_Q,
+    S_V,
     S_VP,
+    S_X1,
+    S_X2,
     TH,
+    VP,
+    X1,
+    X2,
     N,
+    V,
 )
 from ship_inclinometer.attitude_update import innovation_variance, scalar_update
 
@@ -44,6 +55,8 @@ def mag_step(state, c, t, field, gate):
     """Use a magnetic field (3,) [T] for the heading alone; return (code, NIS).
 
     Gated by norm and dip against what was learned, then by the innovation. Tilt is considered, never moved.
+    While aligning the heading is simply that of the field: through a tilt that may be 30 deg off, the dip
+    makes any heading of it, and no small-angle filter comes back from there.
     """
     cov = state[S_COV:].reshape(N, N)
     mat = matrix_from_quat(state[S_Q : S_Q + 4])
@@ -55,7 +68,7 @@ def mag_step(state, c, t, field, gate):
     north = 0.5 * math.pi - c[C_DECLINATION]
     innovation = wrap(north - math.atan2(m[1], m[0]))
     white = (c[C_MAG_NOISE] ** 2) / level2
-    if state[S_MAG] < 0.0:
+    if state[S_PHASE] == PHASE_ALIGN or state[S_MAG] < 0.0:
         _set_heading(state, cov, c, innovation)
         state[S_NORM] = norm
         state[S_DIP] = -m[2] / norm
@@ -85,6 +98,9 @@ def mag_step(state, c, t, field, gate):
         if t - state[S_MAG_BAD] > c[C_MAG_LOCKOUT]:
             # The field has changed for good (cargo, a crane): start from it with a wide deviation.
             cov[DEV, DEV] += RELEARNED_DEVIATION**2
+            if innovation**2 > gate * (spread + variance + RELEARNED_DEVIATION**2):
+                # No cargo turns it that far: it is the heading that was lost.
+                _set_heading(state, cov, c, innovation)
             state[S_NORM] = norm
             state[S_DIP] = -m[2] / norm
             state[S_FIELD_TIME] = 0.0
@@ -100,12 +116,24 @@ def mag_step(state, c, t, field, gate):
 
 @njit(cache=True, nogil=True)
 def _set_heading(state, cov, c, innovation):
-    """Turn the attitude onto the first magnetic heading."""
+    """Turn the attitude, and all that is known in the level plane, onto the magnetic heading."""
     turn = quat_from_rotvec(np.array([0.0, 0.0, innovation]))
     state[S_Q : S_Q + 4] = quat_normalize(quat_multiply(turn, state[S_Q : S_Q + 4]))
-    vx, vy = state[S_VP], state[S_VP + 1]
-    state[S_VP] = vx * math.cos(innovation) - vy * math.sin(innovation)
-    state[S_VP + 1] = vx * math.sin(innovation) + vy * math.cos(innovation)
+    cosine, sine = math.cos(innovation), math.sin(innovation)
+    for i in (S_V, S_P, S_VP, S_X1, S_X2):
+        x, y = state[i], state[i + 1]
+        state[i] = cosine * x - sine * y
+        state[i + 1] = sine * x + cosine * y
+    # What is doubted in the level plane turns along, else it would point another way in body axes.
+    for i in (TH, V, P_, VP, X1, X2):
+        for j in range(N):
+            x, y = cov[i, j], cov[i + 1, j]
+            cov[i, j] = cosine * x - sine * y
+            cov[i + 1, j] = sine * x + cosine * y
+        for j in range(N):
+            x, y = cov[j, i], cov[j, i + 1]
+            cov[j, i] = cosine * x - sine * y
+            cov[j, i + 1] = sine * x + cosine * y
     for j in range(N):
         cov[TH + 2, j] = 0.0
         cov[j, TH + 2] = 0.0

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imu_kalman.i2c import I2cBus, I2cDevice, Link, WrongChipError, driven, explain
-from kalman_core.rotation import matrix_from_quat, quat_from_euler
+from imu_kalman.i2c import ChipDriver, I2cDevice, WrongChipError, driven, explain
 from ship_inclinometer.hmc5883l_params import AVERAGES, GAINS, RANGES, Hmc5883lParams
 
 ADDRESS = 0x1E
@@ -61,26 +60,14 @@ class MagReading(NamedTuple):
     field: np.ndarray
 
 
-class Hmc5883lDriver:
-    """Reads an HMC5883L for as long as it lives; `poll` is called `rate` times a second and never blocks.
+class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
+    """Reads an HMC5883L for as long as it lives; `poll` is called `rate` times a second and never blocks."""
 
-    `clock` dates the samples (ns), `steady` measures waiting (ns); both may be the same function.
-    """
+    def _address(self) -> int:
+        return ADDRESS
 
-    def __init__(
-        self,
-        params: Hmc5883lParams,
-        open_bus: Callable[[], I2cBus],
-        clock: Callable[[], int],
-        steady: Callable[[], int] | None = None,
-    ) -> None:
-        self._params = params
-        self._clock = clock
-        self._steady = steady or clock
-        self.link = Link(
-            open_bus, ADDRESS, first_delay=params.first_delay, longest_delay=params.longest_delay
-        )
-        self._rotation = matrix_from_quat(quat_from_euler(*params.mounting))
+    def _begin(self) -> None:
+        params = self._params
         self._gain = RANGES.index(params.range)
         self._identified = False
         self._tested = not params.self_test

@@ -32,6 +32,8 @@ _BACKWARD = 10
 # Part of the last period without a larger heel after which a maximum is told: a quarter is where a regular
 # roll crosses its mean, and the next period may be the shorter one.
 _TOLD_AFTER = 0.2
+# Half the window that smooths a half cycle, as a share of it: wide against noise, narrow against two tops.
+_SMOOTHED_OVER = 0.1
 # The spectrum is taken of heel at this rate (Hz) and anew after this time (s).
 _SPECTRUM_RATE, _SPECTRUM_EVERY = 2.0, 10.0
 # Growth of the amplitude over the last three maxima of a side that tells parametric roll from forced roll.
@@ -182,7 +184,10 @@ class RollAnalysis:
             return self._close_half(stamp, t, mean)
         if self._last.get(self._side) is None or self._top[1] <= self._told:
             return None
-        if t - self._top[0] < _TOLD_AFTER * self._last_period:
+        before = self._before.get(self._side)
+        # A cycle that turns out shorter than the last one is told sooner.
+        so_far = self._top[0] - before.time if before is not None else math.inf
+        if t - self._top[0] < _TOLD_AFTER * min(self._last_period, so_far):
             return None
         return self._maximum(stamp, t, mean, len(self._half))
 
@@ -312,10 +317,11 @@ class RollAnalysis:
 def vertex(times: np.ndarray, heels: np.ndarray) -> tuple[float, float]:
     """Return time and value of the largest of `heels` (N,) at `times` (N,) [s], by a fitted parabola.
 
-    The parabola takes an eighth of the half cycle to both sides, and is fitted twice: noise may put the
-    largest sample beside the top.
+    Of two tops in one half cycle noise must not choose: the largest is that of the heel smoothed by a local
+    parabola. The final parabola takes a quarter of the half cycle to both sides, and is fitted twice: the
+    largest sample may lie beside the top.
     """
-    peak = int(np.argmax(heels))
+    peak = int(np.argmax(_smoothed(heels)))
     when, value = float(times[peak]), float(heels[peak])
     width = max(0.25 * (times[-1] - times[0]), 2.1 * (times[-1] - times[0]) / max(len(times) - 1, 1))
     for _ in range(2):
@@ -330,6 +336,15 @@ def vertex(times: np.ndarray, heels: np.ndarray) -> tuple[float, float]:
         when, value = when + shift, level + 0.5 * slope * shift
         when = min(max(when, float(times[0])), float(times[-1]))
     return when, value
+
+
+def _smoothed(values: np.ndarray) -> np.ndarray:
+    """Return (N,) values by local parabolas over a fifth of them, ends held (Savitzky and Golay, 1964)."""
+    half = round(_SMOOTHED_OVER * len(values))
+    if half < 1:
+        return values
+    weights = np.linalg.pinv(np.vander(np.arange(-half, half + 1.0), 3))[2]
+    return np.convolve(np.pad(values, half, mode='edge'), weights[::-1], 'valid')
 
 
 def dominant_period(record: np.ndarray, rate: float, threshold: float) -> float:

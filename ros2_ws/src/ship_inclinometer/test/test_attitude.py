@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kalman_core.consistency import chi2_band
+from kalman_core.rotation import quat_multiply
 from ship_inclinometer import attitude_layout as k
 from ship_inclinometer.attitude_estimator import AttitudeEstimator
 from ship_inclinometer.attitude_kernels import imu_step, propagate
@@ -80,6 +81,30 @@ def test_valid_within_60_s_of_a_start_in_motion_with_a_bias_of_5_deg_s():
     assert (valid[0].stamp - START) / 1e9 < 60.0
     error, _ = errors(recording, run_batch(recording, AttitudeParams()))
     assert np.max(np.abs(error[recording.truth.t > 60.0, :2])) < 1.0
+
+
+def test_a_start_at_any_tilt_finds_the_heading():
+    # Steep waves: the first specific force may be 30° off the vertical, and the dip makes any heading of it.
+    steep = {'peak_period': 6.0, 'duration': 90.0}
+    for seed in (1003, *range(2000, 2006)):
+        recording = simulate(scenario('beam', **steep), seed)
+        error, _ = errors(recording, run_batch(recording, AttitudeParams()))
+        assert np.max(np.abs(error[recording.truth.t > 60.0])) < 4.0
+
+
+def test_a_heading_that_was_lost_is_found_again():
+    recording = simulate(scenario('beam', duration=300.0), 0)
+    estimator = AttitudeEstimator()
+    events = events_of(recording)
+    split = sum(e[0] < START + 60 * 10**9 for e in events)
+    feed(estimator, events[:split])
+    turned = np.array([np.cos(1.0), 0.0, 0.0, np.sin(1.0)])
+    estimator.state[k.S_Q : k.S_Q + 4] = quat_multiply(turned, estimator.state[k.S_Q : k.S_Q + 4])
+    out = feed(estimator, events[split:])
+    last = [e for e in out if isinstance(e, Angles)][-1]
+    error = np.array(last.angles) - recording.truth.angles[-1]
+    error = np.degrees((error + np.pi) % (2.0 * np.pi) - np.pi)
+    assert np.all(np.abs(error) < (1.5, 1.5, 6.0))
 
 
 def test_error_is_what_the_covariance_says():

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'bench'))
 import roll_bench as bench
 
-from ship_inclinometer.roll_analysis import NO_ROLL, NOT_VALID, ROLLING, RollAnalysis, RollCycle, RollState
+from ship_inclinometer.roll_analysis import (
+    NO_ROLL,
+    NOT_VALID,
+    ROLLING,
+    RollAnalysis,
+    RollCycle,
+    RollState,
+    vertex,
+)
 from ship_inclinometer.roll_params import RollParams
 from ship_inclinometer.samples import INVALID, Angles, Validity
 
@@ -36,9 +44,21 @@ def states(out):
 
 
 def test_98_percent_of_the_cycles_of_irregular_seas_are_within_tolerance():
-    score = bench.period_score(range(2))
-    assert score['share'] >= 98.0
-    assert score['excess'] <= 1.0
+    scores = [bench.period_score(sea, seed) for sea in bench.SEAS for seed in range(2)]
+    assert sum(s.good for s in scores) >= 0.98 * sum(s.cycles for s in scores)
+    assert max(excess for s in scores for excess in s.excesses) <= 1.0
+
+
+def test_noise_does_not_choose_between_two_tops_of_one_half_cycle():
+    # Two tops 3 s apart, the later one 0.05° lower; 0.1° of noise on each sample alone would often turn that.
+    t = np.arange(0.0, 12.0, 0.2)
+    heel = (
+        4.0 * np.sin(math.pi * t / 12.0) + 0.8 * np.cos(2.0 * math.pi * (t - 4.5) / 3.0) - 0.011 * (t - 4.5)
+    )
+    clean, _ = vertex(t, heel)
+    rng = np.random.default_rng(0)
+    found = np.array([vertex(t, heel + 0.1 * rng.standard_normal(len(t)))[0] for _ in range(200)])
+    assert np.mean(np.abs(found - clean) < 1.0) > 0.8
 
 
 def test_pure_sines_are_within_a_tenth_of_a_second():

@@ -17,7 +17,9 @@ from bag_tools.bag import BagError
 from bag_tools.catalogue import Entry
 from bag_tools.offline import OfflineResult
 from bag_tools.score import Comparison, Subject, read_window, score
+from node_core.testing import probe
 from workspace_harness.domain import own_domain
+from workspace_harness.graph import Graph, Watch, rates_in
 from workspace_harness.make_bags import root
 from workspace_harness.replay import ReplayError, cut, differences, live, offline_all
 from workspace_harness.report import write
@@ -44,14 +46,20 @@ class Result:
     seconds: float
 
 
-def replay(job: Job, folder: Path) -> list[Result]:
-    """Run one job live and offline; return a result per estimator. Raises ReplayError and BagError."""
+def replay(job: Job, folder: Path) -> tuple[list[Result], Graph]:
+    """Run one job live and offline; return a result per estimator, and the graph as it ran.
+
+    Raises ReplayError and BagError.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     estimators = job.estimators()
     started = time.monotonic()
     heard = cut(job.bag, job.live_seconds, folder / 'cut.mcap') if job.live_seconds else job.bag
     live_bag = folder / 'live.mcap'
-    live(heard, estimators, live_bag, progress=sys.stderr.isatty())
+    with probe('watch') as eye:
+        watch = Watch(eye)
+        live(heard, estimators, live_bag, progress=sys.stderr.isatty(), watch=watch)
+    graph = watch.graph.with_rates(rates_in([heard, live_bag]))
     seconds = time.monotonic() - started
     offline = offline_all(heard, estimators, folder)
     found = {e.space: differences(live_bag, folder, [e]) for e in estimators}
@@ -66,7 +74,7 @@ def replay(job: Job, folder: Path) -> list[Result]:
         window = read_window(job.replay.after, float('inf'), where)
         comparison = score(estimate, truth, window)[0]
         results.append(Result(job, entry, comparison, offline[name], found[name], seconds))
-    return results
+    return results, graph
 
 
 def table(results: list[Result]) -> str:
@@ -118,17 +126,19 @@ def main() -> int:
         print(f'./ws run: {error}', file=sys.stderr)
         return 2
     results: list[Result] = []
+    graphs: dict[str, Graph] = {}
     failed = 0
     with own_domain():
         for number, job in enumerate(jobs, 1):
             print(f'[{number}/{len(jobs)}] {job.system}: {job.replay.title} ({job.bag.stem})', flush=True)
             try:
-                done = replay(job, out / job.system / job.bag.stem)
+                done, graph = replay(job, out / job.system / job.bag.stem)
             except (ReplayError, BagError) as error:
                 failed += 1
                 print(f'      failed: {error}', file=sys.stderr)
                 continue
             results += done
+            graphs.setdefault(job.system, graph)
             lines = [line for r in done for line in r.differences]
             failed += bool(lines)
             print(
@@ -139,7 +149,7 @@ def main() -> int:
         print(f'./ws run: nothing to show; {failed} replays failed', file=sys.stderr)
         return 1
     print(f'\n{table(results)}\n')
-    print(f'report: {write(results, out)}')
+    print(f'report: {write(results, graphs, out)}')
     return 1 if failed else 0
 
 

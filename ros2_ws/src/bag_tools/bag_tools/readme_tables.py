@@ -7,10 +7,13 @@ In every README.md and every page under docs/ a block ::
     <!-- ports:MODULE:NAME -->
     <!-- bench:PACKAGE -->
     <!-- headline:FILE -->
+    <!-- recordings:FILE -->
+    <!-- licences:LOCK -->
 
 up to the next ``<!-- end -->`` is filled with a table: the parameters of a dataclass, the topics of a
 `node_core.ports.Ports` (by attribute of the module, or by key of its ESTIMATORS), the stored figures of a
-package, or the few that FILE (a YAML list of {system, package, name} below docs/) chooses.
+package, the few that FILE (a YAML list below docs/, see `bag_tools.headline`) chooses, the importers with
+what they read (`bag_tools.recordings`), or the licences of the pins in LOCK.
 ``config/NODE.yaml`` is written for each node in `node_parameters`.
 ``./ws docs`` writes, ``./ws docs --check`` names the files that drift.
 """
@@ -29,14 +32,17 @@ import yaml
 
 from bag_tools.bench import RESULTS, BenchError, load_records, project_root
 from bag_tools.headline import HeadlineError, headlines
+from bag_tools.licences import LicenceError, licence_table
+from bag_tools.recordings import RecordingsError, recordings_table
 from kalman_core.parameters import default_yaml, markdown_table
 from node_core.ports import Ports
 
+_KINDS = 'params|ports|bench|headline|recordings|licences'
 _BLOCK = re.compile(
-    r'^<!-- (?P<kind>params|ports|bench|headline):(?P<what>\S+) -->\n(?P<body>.*?)^<!-- end -->$',
+    rf'^<!-- (?P<kind>{_KINDS}):(?P<what>\S+) -->\n(?P<body>.*?)^<!-- end -->$',
     re.DOTALL | re.MULTILINE,
 )
-_OPENING = re.compile(r'^<!-- (?:params|ports|bench|headline):\S+ -->$', re.MULTILINE)
+_OPENING = re.compile(rf'^<!-- (?:{_KINDS}):\S+ -->$', re.MULTILINE)
 
 
 class TableError(Exception):
@@ -99,13 +105,22 @@ def headline_table(records: list[dict[str, Any]], choice: list[dict[str, Any]]) 
     return '\n'.join(rows)
 
 
-def _headline(root: Path, what: str, records: list[dict[str, Any]]) -> str:
+def _listed(root: Path, what: str, table: Callable[[Any], str]) -> str:
+    """Return `table` of the YAML list docs/`what`."""
     path = root / 'docs' / what
     try:
-        choice = yaml.safe_load(path.read_text(encoding='utf-8'))
-        return headline_table(records, choice)
+        return table(yaml.safe_load(path.read_text(encoding='utf-8')))
+    except RecordingsError as error:
+        raise TableError(f'{path.name}: {error}') from None
     except (OSError, yaml.YAMLError, TypeError, KeyError) as error:
-        raise TableError(f'{path.name} is not a list of figures ({error})') from None
+        raise TableError(f'{path.name} is not such a list ({error})') from None
+
+
+def _licences(lock: Path, body: str) -> str:
+    try:
+        return licence_table(lock, body)
+    except (OSError, LicenceError) as error:
+        raise TableError(str(error)) from None
 
 
 def _attribute(what: str) -> tuple[Any, str]:
@@ -134,11 +149,13 @@ def _ports(what: str) -> str:
 
 def fill(text: str, records: list[dict[str, Any]], root: Path = Path()) -> str:
     """Return a document with every block filled; raise TableError naming the block that cannot be."""
-    makers: dict[str, Callable[[str], str]] = {
-        'params': _params,
-        'ports': _ports,
-        'bench': lambda what: bench_table(records, what),
-        'headline': lambda what: _headline(root, what, records),
+    makers: dict[str, Callable[[str, str], str]] = {
+        'params': lambda what, _: _params(what),
+        'ports': lambda what, _: _ports(what),
+        'bench': lambda what, _: bench_table(records, what),
+        'headline': lambda what, _: _listed(root, what, lambda choice: headline_table(records, choice)),
+        'recordings': lambda what, _: _listed(root, what, lambda entries: recordings_table(entries, root)),
+        'licences': lambda what, body: _licences(root / what, body),
     }
 
     def filled(match: re.Match[str]) -> str:
@@ -147,7 +164,7 @@ def fill(text: str, records: list[dict[str, Any]], root: Path = Path()) -> str:
         if _OPENING.search(match['body']):
             raise TableError(f'{opening} is not closed by <!-- end -->')
         try:
-            body = makers[kind](what)
+            body = makers[kind](what, match['body'])
         except TableError as error:
             raise TableError(f'{opening}: {error}') from None
         return f'{opening}\n{body}\n<!-- end -->'

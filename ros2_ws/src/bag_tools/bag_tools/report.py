@@ -137,6 +137,10 @@ def _overview(runs: Sequence[RunResult], colors: Mapping[str, str]) -> str:
         found = {run.name: _rmse(run, role) for run in runs}
         found = {name: rows for name, rows in found.items() if rows}
         labels = list(dict.fromkeys(k for rows in found.values() for values in rows.values() for k in values))
+        # A component that nobody gets wrong, such as the sideways speed of a car, is none.
+        labels = [
+            k for k in labels if any(v.get(k) for rows in found.values() for v in rows.values())
+        ] or labels
         if len(found) > 1:
             found['mean'] = _means(found, labels)
         body = [row for name, rows in found.items() for row in _group(name, rows, labels, colors)]

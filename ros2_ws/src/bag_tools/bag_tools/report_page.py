@@ -21,9 +21,9 @@ def number(value: float | None) -> str:
     return f'{value:.{min(digits, 6)}f}' if abs(value) >= 1e-4 else f'{value:.2e}'
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table; the cells are HTML already. Of more than two columns, the first two are names."""
-    kind = ' class="named"' if len(head) > 2 else ''
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, names: int | None = None) -> str:
+    """Return a table of HTML cells; the first `names` columns are text (default: one, or two of three)."""
+    kind = ' class="named"' if (names if names is not None else len(head) - 1) > 1 else ''
     top = ''.join(f'<th>{cell}</th>' for cell in head)
     body = ''.join('<tr>' + ''.join(f'<td>{c}</td>' for c in row) + '</tr>' for row in rows)
     return (
@@ -68,7 +68,10 @@ td:first-child,th:first-child,.named td:nth-child(2),.named th:nth-child(2){text
 tbody tr:last-child td{border-bottom:0}
 .chip{white-space:nowrap;margin-right:.9em}
 .chip i{display:inline-block;width:.75em;height:.75em;border-radius:2px;margin-right:.4em}
-.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%%,440px),1fr));gap:12px}
+@media (max-width:600px){th,td{padding:.35em .45em;font-size:.8rem}
+ td:first-child,th,.named td:nth-child(2){white-space:normal;min-width:5.5em}}
+.grid{margin:.6em 0;display:grid;gap:12px;
+ grid-template-columns:repeat(auto-fill,minmax(min(100%%,440px),1fr))}
 figure{margin:0;padding:8px;background:var(--panel);border:1px solid var(--grid);border-radius:8px}
 .wide{min-width:680px}
 details{margin:.8em 0}summary{cursor:pointer;font-weight:600;padding:.4em 0}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The attitude controller: attitude and setpoint in, four pulses out; arming, trial and autotune inside."""
+"""The attitude controller: attitude and setpoint in, four pulses out; arming and tuning in flight inside."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ from quad_control.samples import (
     RangeSample,
     Setpoint,
 )
-from quad_control.trial import Trial
-from quad_control.tuning import RelayTest, cascade_for, plant_from_ultimate
+from quad_control.tuning_in_flight import TuningInFlight, saturates
 
 NANOSECONDS = 1_000_000_000
 ATTITUDE, SETPOINT, RANGE, BATTERY, PRESSURE = 'imu/data', 'setpoint', 'range', 'battery', 'pressure'
@@ -44,8 +43,6 @@ _JUMP_CONFIRMATIONS = 10
 _TAKE_OFF = 0.1
 # Throttle is divided by the cosine of the tilt, at most by this cosine (60°).
 _LEAST_COSINE = 0.5
-# Dead time assumed by the autotune (s): one sample; the hold is added by the plant model.
-_ASSUMED_DELAY = 0.005
 
 # Flat state.
 _ARMING = slice(0, ARMING_SIZE)
@@ -72,6 +69,7 @@ class AttitudeController:
         self.altitude = Altitude(s[_ALTITUDE])
         self.loop = AttitudeLoop(self.params, s[_LOOP])
         self._thrust, self._achieved, self._pulses = np.zeros(4), np.zeros(4), np.zeros(4)
+        self.tuning = TuningInFlight(lambda kind, text: self._say(kind, text, self._newest_stamp()))
         self._events: list[Event] = []
         self.reset()
 
@@ -91,9 +89,8 @@ class AttitudeController:
         self._ground_pressure: float | None = None
         self._older = 0
         self._unchanged: tuple[float, int] | None = None
-        self._trial: Trial | None = None
-        self._relay: tuple[int, RelayTest] | None = None
-        self.proposal: dict[str, float] | None = None
+        self._told: float | None = None
+        self.tuning.reset()
         self._events.clear()
 
     # Handlers -----------------------------------------------------------------------------------------
@@ -225,10 +222,7 @@ class AttitudeController:
         self.loop.configure(params)
         wanted = params.guard_gain_changes if trial is None else trial
         if changed and wanted and self.arming.mode == ARMED:
-            # A second change during a trial must fall back to the gains that were good before both.
-            known = self._trial.before if self._trial else before
-            self._trial = Trial(params, self._newest_time(), known)
-            self._say('trial', f'{", ".join(changed)} for {params.trial_time:g} s', self._newest_stamp())
+            self.tuning.begin_trial(params, self._newest_time(), before, changed)
 
     def autotune(self, axis: str) -> str:
         """Start a relay test on `axis`; returns an empty string or why not."""
@@ -238,9 +232,7 @@ class AttitudeController:
             return 'autotune needs an armed craft off the ground'
         if self.params.controller != 'cascade':
             return 'autotune needs controller: cascade'
-        p = self.params
-        self._relay = (AXES.index(axis), RelayTest(p.relay_amplitude, p.relay_hysteresis))
-        self._say('autotune', f'{axis}: relay of {p.relay_amplitude:g} started', self._newest_stamp())
+        self.tuning.begin_relay(axis, self.params)
         return ''
 
     def diagnostics(self) -> dict:
@@ -250,8 +242,8 @@ class AttitudeController:
             'arming': NAMES[self.arming.mode],
             'airborne': bool(self.state[_AIRBORNE]),
             'controller': self.params.controller,
-            'trial': self._trial is not None,
-            'autotune': self._relay is not None,
+            'trial': self.tuning.on_trial,
+            'autotune': self.tuning.relay is not None,
             'hover_thrust': self.altitude.hover,
             'battery_v': voltage,
         }
@@ -275,18 +267,21 @@ class AttitudeController:
         if abs(yaw_rate) > YAW_CENTRE or not s[_AIRBORNE]:
             s[_HEADING] = heading(q)
         errors = attitude_error(q, roll, pitch, s[_HEADING])
-        targets = self.loop.rate_targets(errors, yaw_rate, self._relay[0] if self._relay else -1)
+        relay = self.tuning.relay
+        targets = self.loop.rate_targets(errors, yaw_rate, relay[0] if relay else -1)
         if not s[_AIRBORNE]:
             self.loop.rest()
             throttle = 0.0
         else:
-            self.loop.step(sample.rate, errors, targets, yaw_rate, dt, self._relay)
+            self.loop.step(sample.rate, errors, targets, yaw_rate, dt, relay)
             throttle /= max(tilt_cosine(q), _LEAST_COSINE)
         demand = self.loop.demand
         mix(demand[0], demand[1], demand[2], throttle, p.idle_thrust, 1.0, self._thrust, self._achieved)
         self.loop.unwind(self._achieved)
         self.altitude.learn_hover(self._achieved[3], sample.force[2], dt)
-        self._watch(sample, time, dt, errors, targets)
+        rate_errors = tuple(t - r for t, r in zip(targets, sample.rate))
+        lost = saturates(demand, self._achieved)
+        self._fall_back(self.tuning.watch(p, time, dt, rate_errors, errors, lost))
         voltage = s[_VOLTAGE]
         sag = 1.0
         if p.sag_compensation and not math.isnan(voltage):
@@ -302,12 +297,10 @@ class AttitudeController:
         return [MotorCommand(sample.stamp, _four(self._pulses), _four(self._thrust)), report, *self.said()]
 
     def _rest(self, sample: Attitude) -> list:
-        if self._trial:
-            self._revert('reverted: the motors stopped during the trial', sample.stamp)
+        self._fall_back(self.tuning.stop())
         p = self.params
         self.loop.rest()
         self.state[_AIRBORNE] = 0.0
-        self._relay = None
         stop = (p.pulse_min,) * 4
         zero = (0.0, 0.0, 0.0, 0.0)
         angles = attitude_error(np.array(sample.quaternion), 0.0, 0.0, heading(np.array(sample.quaternion)))
@@ -336,54 +329,11 @@ class AttitudeController:
         altitude.release()
         return sp.roll, sp.pitch, sp.yaw_rate, sp.throttle
 
-    def _watch(self, sample: Attitude, time: float, dt: float, errors: tuple, targets: list[float]) -> None:
-        """Run the trial and the autotune on what this step has shown."""
-        if self._trial:
-            rate_errors = tuple(t - r for t, r in zip(targets, sample.rate))
-            saturated = bool(np.any(np.abs(self.loop.demand - self._achieved[:3]) > 1e-9))
-            verdict = self._trial.watch(time, dt, rate_errors, errors, saturated)
-            if verdict:
-                if verdict == 'kept':
-                    self._trial = None
-                    self._say('trial', verdict, sample.stamp)
-                else:
-                    self._revert(verdict, sample.stamp)
-        if self._relay:
-            axis, relay = self._relay
-            failed = relay.failed
-            if max(abs(errors[0]), abs(errors[1])) > self.params.trial_error:
-                failed = f'angle error {max(abs(errors[0]), abs(errors[1])):.2f} rad'
-            if failed:
-                self._relay = None
-                self._say('autotune', f'{AXES[axis]}: stopped, {failed}', sample.stamp)
-            elif relay.result is not None:
-                self._relay = None
-                self._propose(axis, relay.result, sample.stamp)
-
-    def _revert(self, verdict: str, stamp: int) -> None:
-        """Go back to the gains before the trial."""
-        if self._trial is None:
-            return
-        before, self._trial = self._trial.before, None
-        self.params = dataclasses.replace(self.params, **before)  # type: ignore[arg-type]
-        self.loop.configure(self.params)
-        self._say('trial', verdict, stamp)
-
-    def _propose(self, axis: int, ultimate, stamp: int) -> None:
-        gains = cascade_for(plant_from_ultimate(ultimate, _ASSUMED_DELAY))
-        name = AXES[axis]
-        self.proposal = {
-            f'{name}_angle_p': gains.angle_p,
-            f'{name}_rate_p': gains.rate_p,
-            f'{name}_rate_i': gains.rate_i,
-            f'{name}_rate_d': gains.rate_d,
-        }
-        listed = ', '.join(f'{key} {value:.4g}' for key, value in self.proposal.items())
-        self._say(
-            'proposal',
-            f'{name}: Ku {ultimate.gain:.3g}, Tu {ultimate.period:.3g} s -> {listed}; {gains.margins}',
-            stamp,
-        )
+    def _fall_back(self, gains: dict[str, float] | None) -> None:
+        """Go back to the gains before a trial."""
+        if gains is not None:
+            self.params = dataclasses.replace(self.params, **gains)  # type: ignore[arg-type]
+            self.loop.configure(self.params)
 
     # Small things -------------------------------------------------------------------------------------
 
@@ -422,11 +372,12 @@ class AttitudeController:
             self._events.append(Event(stamp, kind, text))
 
     def said(self) -> list:
-        """Return events that arose outside a handler (services, parameters), and a changed arming state."""
+        """Return events that are not said yet, and the arming state at the start and when it has changed."""
         events, self._events = self._events, []
         out: list = list(events)
-        if any(event.kind == 'arming' for event in events):
-            out.append(ArmingState(events[-1].stamp, NAMES[self.arming.mode]))
+        if self._told != self.arming.mode:
+            self._told = self.arming.mode
+            out.append(ArmingState(self._newest_stamp(), NAMES[self.arming.mode]))
         return out
 
 

@@ -10,8 +10,9 @@ from kalman_core.parameters import parameter
 from quad_control.arming import ARMED, NAMES, STOPPED
 from quad_control.samples import Setpoint
 
-# The arm switch is tried again this often (s) while the controller refuses.
-_RETRY = 1.0
+# While the controller refuses, the arm switch stays on and off for these times (s) before it is tried again:
+# off only shortly, so that it is hardly ever off just when the controller arms.
+_ON, _OFF = 2.0, 0.2
 # Sticks by eye: lean per metre and per m/s away from the start, at most this much (rad).
 _LEAN_POSITION, _LEAN_VELOCITY, _MOST_LEAN = 0.04, 0.1, 0.15
 
@@ -94,7 +95,7 @@ class Pilot:
         if not armed:
             self._up = False
             # Off and on again: a switch that stays on is not a wish to arm.
-            if stamp - self._changed > _RETRY * 1e9:
+            if stamp - self._changed > (_ON if self._switch else _OFF) * 1e9:
                 self._switch, self._changed = not self._switch, stamp
             return Setpoint(stamp, 0.0, 0.0, 0.0, 0.0, self._switch)
         self._up = self._up or self.height > p.height

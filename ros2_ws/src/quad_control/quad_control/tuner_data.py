@@ -92,9 +92,16 @@ class TunerData:
         """Take a parameter event of the controller: a revert, or somebody's `ros2 param set`."""
         gains = {name: float(value) for name, value in changes.items() if name in self._values}
         foreign = {name: value for name, value in gains.items() if self._expected.get(name) != value}
-        by = 'trial' if self._events and 'reverted' in self._events[-1] else 'elsewhere'
-        self.history.add(foreign, dict(self._values), by)
+        self.history.add(foreign, dict(self._values), self._origin(foreign))
         self.known(gains)
+
+    def _origin(self, changes: dict[str, float]) -> str:
+        if self._events and 'reverted' in self._events[-1]:
+            return 'trial'
+        proposals = [text for text in self._events if text.startswith('proposal')]
+        if proposals and all(f'{name} {value:.4g}' in proposals[-1] for name, value in changes.items()):
+            return 'autotune'
+        return 'elsewhere'
 
     # Messages -------------------------------------------------------------------------------------------
 

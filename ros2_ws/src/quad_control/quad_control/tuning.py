@@ -127,6 +127,7 @@ class RelayTest:
         self._sign = 1.0
         self._last = 0.0
         self._time = 0.0
+        self._samples = 0
         self._up: list[float] = []
         self._peaks: list[float] = []
         self._high = -math.inf
@@ -136,6 +137,7 @@ class RelayTest:
     def output(self, error: float, dt: float) -> float:
         """Return the relay output for the control error (setpoint − measurement) after `dt` (s)."""
         self._time += dt
+        self._samples += 1
         self._high, self._low = max(self._high, error), min(self._low, error)
         h = self.hysteresis
         if self._sign < 0.0 and error > h:
@@ -151,6 +153,11 @@ class RelayTest:
         if self._time - (self._up[-1] if self._up else 0.0) > self._TIMEOUT:
             self.failed = f'no oscillation within {self._TIMEOUT:.0f} s'
         return self.amplitude * self._sign
+
+    @property
+    def period(self) -> float:
+        """Mean time between samples (s)."""
+        return self._time / max(self._samples, 1)
 
     @property
     def result(self) -> Ultimate | None:

@@ -186,7 +186,7 @@ def test_autotune_in_flight_finds_the_rate_loop_and_proposes_gains_that_fly():
 
     body = benchmark_craft()
     log, _, controller = flight(seconds=4.0, meddle=meddle)
-    proposal = controller.proposal
+    proposal = controller.tuning.proposal
     assert proposal is not None, [e.text for e in log.events]
     theory = rate_plant(4.0 * max_thrust(body) * lever(body) / body.inertia[0]).ultimate()
     text = next(e.text for e in log.events if e.kind == 'proposal')

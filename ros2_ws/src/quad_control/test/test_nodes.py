@@ -118,6 +118,38 @@ def test_gains_that_swing_are_reverted_and_the_parameter_follows(flight):
     watcher.until(lambda: value(ask(processes, 'api/state')[1], 'roll_rate_p') == before, 'the parameter')
 
 
+def test_undo_on_the_page_brings_the_gain_back(flight):
+    _, processes, _ = flight
+    before = value(ask(processes, 'api/state')[1], 'yaw_angle_p')
+    status, state = ask(processes, 'api/gains', {'gains': {'yaw_angle_p': 2.25}})
+    assert (status, value(state, 'yaw_angle_p')) == (200, 2.25)
+    status, state = ask(processes, 'api/undo', {})
+    assert (status, value(state, 'yaw_angle_p')) == (200, before)
+
+
+def test_autotune_proposes_and_only_its_application_changes_gains(flight):
+    watcher, processes, heard = flight
+    before = ask(processes, 'api/state')[1]
+    assert ask(processes, 'api/action', {'name': 'autotune_roll'})[0] == 200
+    watcher.until(lambda: said(heard, 'proposal: roll'), 'the proposal')
+    assert ask(processes, 'api/state')[1]['gains'] == before['gains']
+    trials = len([m for m in heard['events'] if m.data.startswith('trial: kept')])
+    assert ask(processes, 'api/action', {'name': 'apply_proposal'})[0] == 200
+
+    def applied():
+        now = ask(processes, 'api/state')[1]
+        return value(now, 'roll_rate_p') != value(before, 'roll_rate_p') and now['history']
+
+    history = watcher.until(applied, 'the gains of the proposal')
+    assert history[-1]['by'] == 'autotune'
+    assert set(history[-1]['changes']) == {
+        f'roll_{name}' for name in ('angle_p', 'rate_p', 'rate_i', 'rate_d')
+    }
+    watcher.until(
+        lambda: len([m for m in heard['events'] if m.data.startswith('trial: kept')]) > trials, 'the trial'
+    )
+
+
 def test_a_kill_stops_the_motors_and_the_mission_does_not_arm_again(flight):
     watcher, processes, heard = flight
     assert ask(processes, 'api/action', {'name': 'kill'})[0] == 200
@@ -127,6 +159,15 @@ def test_a_kill_stops_the_motors_and_the_mission_does_not_arm_again(flight):
     stamp = heard['truth'][-1].header.stamp.sec
     watcher.until(lambda: heard['truth'][-1].header.stamp.sec > stamp + 3, 'three more seconds')
     assert not any(m.data == 'arming: armed' for m in heard['events'][events:])
+
+
+def test_motors_idle_when_the_controller_dies_in_flight(flight):
+    watcher, processes, heard = flight
+    # Told anew, the pilot arms and takes off once more.
+    assert watcher.set_parameter('pilot', 'height', 1.6).successful
+    watcher.until(lambda: min(heard['pulses'][-1].position) > 1200.0, 'pulses of a flight')
+    processes.pop('attitude_controller').kill()
+    watcher.until(lambda: max(heard['pulses'][-1].position) <= 1000.0, 'idle pulses')
 
 
 def test_the_nodes_end_with_0(flight):

@@ -77,7 +77,7 @@ class AttitudeControllerNode(EstimatorNode):
         return handle
 
     def _on_apply(self, _request: Any, response: Any) -> Any:
-        proposal = self._controller.proposal
+        proposal = self._controller.tuning.proposal
         if proposal is None:
             response.success, response.message = False, 'no proposal: run an autotune first'
             return response

@@ -14,20 +14,19 @@ const LABELS = {
   land: 'Disarm', takeoff: 'Take off', step_roll: 'Step roll 10°', step_pitch: 'Step pitch 10°',
   autotune_roll: 'Roll', autotune_pitch: 'Pitch', autotune_yaw: 'Yaw', apply_proposal: 'Apply proposal',
 };
-const css = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 const samples = [];
 let gains = [], wanted = {}, tab = 'roll', dirty = true;
 
 const degrees = 180 / Math.PI;
 const angle = axis => [
-  { colour: css('raw'), width: 1, pick: s => s.raw[axis] * degrees, quiet: true },
-  { colour: css('setpoint'), width: 1.5, pick: s => s.setpoint[axis] * degrees },
-  { colour: css('estimate'), width: 2, pick: s => s.estimate[axis] * degrees },
+  { colour: '--raw', width: 1, pick: s => s.raw[axis] * degrees, quiet: true },
+  { colour: '--setpoint', width: 1.5, pick: s => s.setpoint[axis] * degrees },
+  { colour: '--estimate', width: 2, pick: s => s.estimate[axis] * degrees },
 ];
 const strips = [
   new Strip($('roll'), angle(0), { least: 6, unit: '°' }),
   new Strip($('pitch'), angle(1), { least: 6, unit: '°' }),
-  new Strip($('pwm'), [0, 1, 2, 3].map(m => ({ colour: css(`m${m + 1}`), width: 1.5, pick: s => s.pulses[m] })),
+  new Strip($('pwm'), [0, 1, 2, 3].map(m => ({ colour: `--m${m + 1}`, width: 1.5, pick: s => s.pulses[m] })),
     { unit: '', bounds: [980, 2020] }),
 ];
 
@@ -180,7 +179,7 @@ function frame() {
     dirty = false;
     for (const strip of strips) strip.draw(samples);
     const last = samples[samples.length - 1];
-    if (last) for (const [i, name] of ['roll', 'pitch'].entries()) $(`now-${name}`).textContent = `${(last.estimate[i] * degrees).toFixed(2)}°`;
+    if (last) for (const [i, name] of ['roll', 'pitch'].entries()) $(`now-${name}`).textContent = `${(Math.round(last.estimate[i] * degrees * 100) / 100 || 0).toFixed(2)}°`;
   }
   requestAnimationFrame(frame);
 }

@@ -11,7 +11,9 @@ import errno
 import re
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
+
+from kalman_core.rotation import matrix_from_quat, quat_from_euler
 
 _SECOND = 1_000_000_000
 _ONES = b'\xff'
@@ -24,8 +26,8 @@ _EXPLANATIONS = {
     errno.ETIMEDOUT: 'time-out: a line is held low',
     errno.EAGAIN: 'arbitration lost: noise or a second master',
     errno.EIO: 'transfer failed',
-    errno.ENOENT: 'no such bus: is I2C switched on?',
-    errno.EACCES: "no permission: is the user in group 'i2c'?",
+    errno.ENOENT: 'no such bus{bus}: is I2C switched on?',
+    errno.EACCES: "no permission{bus}: is the user in group 'i2c'?",
 }
 
 
@@ -49,7 +51,9 @@ class I2cBus(Protocol):
 def explain(error: OSError) -> str:
     """Return what an I2C error means to someone with a soldering iron."""
     text = _EXPLANATIONS.get(error.errno or 0)
-    return text if text is not None else (error.strerror or str(error) or type(error).__name__)
+    if text is not None:
+        return text.format(bus=f' {error.filename}' if error.filename else '')
+    return error.strerror or str(error) or type(error).__name__
 
 
 def driven(data: bytes) -> bytes:
@@ -197,3 +201,56 @@ class Link:
     def retried(self) -> int:
         """Transfers that were repeated since start."""
         return self._retried + (self._device.retried if self._device is not None else 0)
+
+
+class ChipParams(Protocol):
+    """What the parameters of every such driver hold."""
+
+    @property
+    def first_delay(self) -> float:
+        """Pause (s) after the first fault."""
+
+    @property
+    def longest_delay(self) -> float:
+        """Longest pause (s)."""
+
+    @property
+    def mounting(self) -> tuple[float, ...]:
+        """Roll, pitch, yaw (rad) of the chip in the body frame."""
+
+
+_Params = TypeVar('_Params', bound=ChipParams)
+
+
+class ChipDriver(Generic[_Params]):
+    """What the drivers of motion sensors share: clocks, the link to the bus, how the chip is mounted.
+
+    `clock` dates the samples (ns), `steady` measures waiting (ns); both may be the same function.
+    """
+
+    def __init__(
+        self,
+        params: _Params,
+        open_bus: Callable[[], I2cBus],
+        clock: Callable[[], int],
+        steady: Callable[[], int] | None = None,
+    ) -> None:
+        self._params = params
+        self._clock = clock
+        self._steady = steady or clock
+        self.link = Link(
+            open_bus,
+            self._address(),
+            first_delay=params.first_delay,
+            longest_delay=params.longest_delay,
+        )
+        self._rotation = matrix_from_quat(quat_from_euler(*params.mounting))
+        self._begin()
+
+    def _address(self) -> int:
+        """Return the chip's 7-bit address."""
+        raise NotImplementedError
+
+    def _begin(self) -> None:
+        """Set up what is the driver's own."""
+        raise NotImplementedError

@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imu_kalman import mpu6050_registers as reg
-from imu_kalman.i2c import I2cBus, I2cDevice, Link, WrongChipError, driven, explain
+from imu_kalman.i2c import ChipDriver, I2cDevice, WrongChipError, driven, explain
 from imu_kalman.mpu6050_calibration import Calibration, Refused, RestWindow
 from imu_kalman.mpu6050_params import Mpu6050Params
 from imu_kalman.stamp_filter import StampFilter
-from kalman_core.rotation import matrix_from_quat, quat_from_euler
 
 _SECOND = 1_000_000_000
 _RESET_TIME = 0.1  # s, register map 4.28 and PS: 100 ms cover reset and power-up
@@ -71,29 +70,14 @@ def _fifo_sources(params: Mpu6050Params) -> int:
     return reg.FIFO_TEMP | reg.FIFO_GYRO | reg.FIFO_ACCEL if params.pacing == 'fifo' else 0
 
 
-class Mpu6050Driver:
-    """Reads an MPU6050 for as long as it lives.
+class Mpu6050Driver(ChipDriver[Mpu6050Params]):
+    """Reads an MPU6050 for as long as it lives."""
 
-    `clock` dates the samples (ns), `steady` measures waiting (ns); both may be the same function.
-    """
+    def _address(self) -> int:
+        return self._params.address
 
-    def __init__(
-        self,
-        params: Mpu6050Params,
-        open_bus: Callable[[], I2cBus],
-        clock: Callable[[], int],
-        steady: Callable[[], int] | None = None,
-    ) -> None:
-        self._params = params
-        self._clock = clock
-        self._steady = steady or clock
-        self.link = Link(
-            open_bus,
-            params.address,
-            first_delay=params.first_delay,
-            longest_delay=params.longest_delay,
-        )
-        self._rotation = matrix_from_quat(quat_from_euler(*params.mounting))
+    def _begin(self) -> None:
+        params = self._params
         self._gyro_scale = reg.DEGREE / reg.GYRO_COUNTS[reg.GYRO_RANGES.index(params.gyro_range)]
         self._accel_scale = (
             reg.STANDARD_GRAVITY / reg.ACCEL_COUNTS[reg.ACCEL_RANGES.index(params.accel_range)]

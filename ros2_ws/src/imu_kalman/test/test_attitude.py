@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from attitude_errors import errors, rms, rotation
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -25,10 +26,6 @@ from imu_kalman.smoother import smooth
 
 FIELD = np.array([0.0, 18e-6, -45e-6])
 DT = 5_000_000
-
-
-def rotation(quat):
-    return Rotation.from_quat(quat, scalar_first=True)
 
 
 def still(attitude, seconds, gyr=(0.0, 0.0, 0.0), field=FIELD, first=10**9):
@@ -53,19 +50,6 @@ def rows(recording):
     columns = (recording.stamp, recording.gyr, recording.acc, recording.mag)
     for stamp, gyr, acc, mag in zip(*(column.tolist() for column in columns)):
         yield ImuSample(stamp, tuple(gyr), tuple(acc)), MagSample(stamp, tuple(mag))
-
-
-def errors(found, true):
-    """Total, heading and inclination error in degrees (metric of the recorded trials)."""
-    d = (rotation(found) * rotation(true).inv()).as_quat(scalar_first=True)
-    total = 2 * np.arccos(np.clip(np.abs(d[:, 0]), 0, 1))
-    heading = 2 * np.arctan2(np.abs(d[:, 3]), np.abs(d[:, 0]))
-    inclination = 2 * np.arccos(np.clip(np.hypot(d[:, 0], d[:, 3]), 0, 1))
-    return np.degrees(np.stack([total, heading, inclination], axis=1))
-
-
-def rms(values):
-    return np.sqrt(np.mean(np.square(values), axis=0))
 
 
 def test_one_sample_is_enough_for_roll_and_pitch_and_a_first_field_for_heading():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from attitude_errors import errors, rms
 
 from imu_kalman import attitude_layout as layout
 from imu_kalman import smoother
@@ -18,23 +18,6 @@ from imu_kalman.scenarios import ShipParams, rolling_ship
 from imu_kalman.smoother import smooth
 
 N = layout.N
-
-
-def rotation(quat):
-    return Rotation.from_quat(quat, scalar_first=True)
-
-
-def errors(found, true):
-    """Total, heading and inclination error in degrees."""
-    d = (rotation(found) * rotation(true).inv()).as_quat(scalar_first=True)
-    total = 2 * np.arccos(np.clip(np.abs(d[:, 0]), 0, 1))
-    heading = 2 * np.arctan2(np.abs(d[:, 3]), np.abs(d[:, 0]))
-    inclination = 2 * np.arccos(np.clip(np.hypot(d[:, 0], d[:, 3]), 0, 1))
-    return np.degrees(np.stack([total, heading, inclination], axis=1))
-
-
-def rms(values):
-    return np.sqrt(np.mean(np.square(values), axis=0))
 
 
 def triangle(packed):

@@ -66,14 +66,18 @@ class AlarmMonitor:
         self.settings = dict(settings)
         self.latching = latching
         self.states = {rule.name: AlarmState() for rule in RULES}
+        # The stop flag: at the quay, under repair. Nothing is judged, nothing sounds, and it is shown.
+        self.stopped = False
         self._silent_until = 0
 
     def update(self, stamp: int, quantities: Mapping[str, float]) -> list[AlarmEvent]:
         """Judge at `stamp` (ns) and return what has changed.
 
-        An unknown quantity neither raises nor ends its alarm.
+        An unknown quantity neither raises nor ends its alarm; nothing does while `stopped`.
         """
-        events = []
+        events: list[AlarmEvent] = []
+        if self.stopped:
+            return events
         for rule in RULES:
             value = abs(quantities.get(rule.quantity, math.nan))
             if not math.isnan(value):
@@ -118,7 +122,9 @@ class AlarmMonitor:
 
     def sounding(self, stamp: int) -> bool:
         """Return whether the buzzer should sound at `stamp`."""
-        return stamp >= self._silent_until and any(not s.acknowledged for s in self.states.values())
+        if self.stopped or stamp < self._silent_until:
+            return False
+        return any(not s.acknowledged for s in self.states.values())
 
     def numbers(self, stamp: int) -> dict[str, float]:
         """Return the state as named numbers: 1 active, and for each alarm `…_unacknowledged`."""
@@ -127,4 +133,5 @@ class AlarmMonitor:
         out['alarm_active'] = float(any(s.active for s in self.states.values()))
         out['alarm_unacknowledged'] = float(any(not s.acknowledged for s in self.states.values()))
         out['sounding'] = float(self.sounding(stamp))
+        out['stop_flag'] = float(self.stopped)
         return out

@@ -12,6 +12,8 @@ from node_core.messages import finite3, set3, set_floats, set_quaternion, set_st
 from node_core.ports import BadMessage, Input, Output, Ports
 from ship_inclinometer import topics
 from ship_inclinometer.attitude_estimator import AttitudeEstimator
+from ship_inclinometer.bridge_params import AlarmParams, DisplayParams, ModbusParams, NmeaParams
+from ship_inclinometer.hmc5883l_params import Hmc5883lParams
 from ship_inclinometer.params import AttitudeParams
 from ship_inclinometer.roll_analysis import RollAnalysis, RollCycle, RollState
 from ship_inclinometer.roll_params import RollParams
@@ -25,6 +27,7 @@ from ship_inclinometer.samples import (
     Validity,
     VelocitySample,
 )
+from ship_inclinometer.simulation_params import ShipSimulatorParams
 
 IMU = 'sensor_msgs/msg/Imu'
 FIELD = 'sensor_msgs/msg/MagneticField'
@@ -240,5 +243,14 @@ ROLL_PORTS = Ports(
         RollCycle: Output(topics.MAXIMA, VALUES, encode_cycle),
     },
 )
+
+NODE_PARAMETERS = {
+    'ship_simulator': ShipSimulatorParams,
+    'hmc5883l_driver': Hmc5883lParams,
+    'alarm_monitor': AlarmParams,
+    'nmea_bridge': NmeaParams,
+    'modbus_bridge': ModbusParams,
+    'display': DisplayParams,
+}
 
 ESTIMATORS = {ports.name: ports for ports in (ATTITUDE_PORTS, ROLL_PORTS)}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import os
+import socket
 import termios
 from collections.abc import Callable
 
@@ -30,6 +31,8 @@ _DIRECT = 0xFF
 # 3.5 characters of the specification: USB adapters deliver a frame in pieces.
 _TCP_PAUSE = 1.0
 _RTU_PAUSE = 0.05
+# Silence (s) after which the system asks whether a TCP peer is still there, and pause between three probes.
+_KEEP_ALIVE = 10
 # A master may be that many requests ahead before the connection is no longer read.
 _LARGEST_BACKLOG = 64 * 260
 _BAUDS = {9600: termios.B9600, 19200: termios.B19200, 38400: termios.B38400, 57600: termios.B57600}
@@ -64,7 +67,8 @@ class TcpServer:
         self._allowed = [ipaddress.ip_network(a, strict=False) for a in allowed]
         self._on_refused = on_refused
         self._max_connections = max_connections
-        self._connections: set[asyncio.StreamWriter] = set()
+        # In order of the last request, longest silent first.
+        self._connections: dict[asyncio.StreamWriter, None] = {}
         self._server: asyncio.Server | None = None
 
     @property
@@ -95,19 +99,35 @@ class TcpServer:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info('peername')
         host = peer[0] if peer else ''
-        if not self._may_talk(host) or len(self._connections) >= self._max_connections:
+        if not self._may_talk(host):
             self._on_refused(host)
             writer.close()
             return
-        self._connections.add(writer)
+        self._make_room()
+        _keep_alive(writer)
+        self._touch(writer)
         try:
             await self._talk(reader, writer, f'tcp {host}:{peer[1]}')
         except (ConnectionError, FramingLostError):
             # The peer has gone, or has lost the framing: both end the connection and nothing else.
             pass
         finally:
-            self._connections.discard(writer)
+            self._connections.pop(writer, None)
             writer.close()
+
+    def _touch(self, writer: asyncio.StreamWriter) -> None:
+        self._connections.pop(writer, None)
+        self._connections[writer] = None
+
+    def _make_room(self) -> None:
+        """Hang up on the connection that was silent longest (implementation guide, section 4.2.1.3).
+
+        Masters that vanished without a word would otherwise lock all others out.
+        """
+        while len(self._connections) >= self._max_connections:
+            oldest = next(iter(self._connections))
+            del self._connections[oldest]
+            oldest.transport.abort()
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, who: str) -> None:
         buffer = b''
@@ -119,6 +139,9 @@ class TcpServer:
                 continue
             if not chunk:
                 return
+            if writer not in self._connections:
+                return
+            self._touch(writer)
             requests, used = split_tcp(buffer + chunk)
             buffer = (buffer + chunk)[used:]
             for request in requests:
@@ -126,6 +149,16 @@ class TcpServer:
                 if reply is not None:
                     writer.write(request.reply(reply))
             await writer.drain()
+
+
+def _keep_alive(writer: asyncio.StreamWriter) -> None:
+    """Have the system probe a silent peer: one that lost its power never says goodbye."""
+    connection = writer.get_extra_info('socket')
+    if connection is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _KEEP_ALIVE)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEP_ALIVE)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)
 
 
 class RtuServer:

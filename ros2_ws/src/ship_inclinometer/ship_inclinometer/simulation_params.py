@@ -148,4 +148,9 @@ class PlayParams:
 
     scenario: str = parameter('beam', 'named sea, ship and sensors', choices=tuple(SCENARIOS))
     seed: int = parameter(0, 'seed of the first run; each further run takes the next', minimum=0)
-    speed: float = parameter(1.0, 'time goes this much faster', minimum=0.01, maximum=100.0)
+    time_factor: float = parameter(1.0, 'time goes this much faster', minimum=0.01, maximum=100.0)
+
+
+@dataclass(frozen=True)
+class ShipSimulatorParams(SimulatorParams, PlayParams):
+    """All parameters of the node: what is played, and what differs from the scenario."""

@@ -78,3 +78,14 @@ def test_unknown_neither_raises_nor_ends():
     run(monitor, [11.0] * 25)
     assert run(monitor, [math.nan] * 50, start=4 * SECOND) == []
     assert monitor.states['heel_warning'].active
+
+
+def test_the_stop_flag_suspends_alarms_and_is_said():
+    monitor = AlarmMonitor(DEFAULTS)
+    run(monitor, [11.0] * 25)
+    monitor.stopped = True
+    assert run(monitor, [30.0] * 100, start=10 * SECOND) == []
+    assert not monitor.sounding(20 * SECOND)
+    assert monitor.numbers(20 * SECOND)['stop_flag'] == 1.0
+    monitor.stopped = False
+    assert kinds(run(monitor, [30.0] * 30, start=30 * SECOND), 'heel_alarm') == ['alarm']

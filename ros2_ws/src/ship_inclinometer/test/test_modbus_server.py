@@ -19,10 +19,10 @@ VALUES = {f.name: 1.0 for f in m.MEASURED} | {'utc_seconds': 1.0, 'utc_milliseco
 
 
 @contextlib.asynccontextmanager
-async def tcp_server(allowed=('127.0.0.0/8',)):
+async def tcp_server(allowed=('127.0.0.0/8',), **options):
     device, ship, _ = make()
     await device.update(VALUES, {'valid': True})
-    server = TcpServer(device, '127.0.0.1', 0, list(allowed))
+    server = TcpServer(device, '127.0.0.1', 0, list(allowed), **options)
     await server.start()
     try:
         yield server, device, ship
@@ -34,13 +34,15 @@ def frame(transaction, *pdu, unit=UNIT, protocol=0):
     return struct.pack('>HHHB', transaction, protocol, len(pdu) + 1, unit) + bytes(pdu)
 
 
-async def exchange(port, data, pause=SILENCE):
+async def exchange(port, data):
+    """Send `data`, close the sending side, and return all that comes until the server hangs up."""
     reader, writer = await asyncio.open_connection('127.0.0.1', port)
-    writer.write(data)
-    await writer.drain()
     received = b''
-    with contextlib.suppress(TimeoutError, ConnectionResetError):
-        while chunk := await asyncio.wait_for(reader.read(4096), pause):
+    with contextlib.suppress(ConnectionError):
+        writer.write(data)
+        await writer.drain()
+        writer.write_eof()
+        while chunk := await asyncio.wait_for(reader.read(4096), 30):
             received += chunk
     writer.close()
     return received
@@ -106,6 +108,91 @@ def test_a_lost_framing_ends_that_connection_only():
             return lost, await exchange(server.port, frame(1, *READ))
 
     assert asyncio.run(scene()) == (b'', frame(1, *ANSWER))
+
+
+def test_masters_that_vanished_lock_nobody_out():
+    async def scene():
+        async with tcp_server(max_connections=3) as (server, _, _):
+            silent = [await asyncio.open_connection('127.0.0.1', server.port) for _ in range(3)]
+            # The first one speaks again: it is no longer the one that was silent longest.
+            silent[0][1].write(frame(1, *READ))
+            assert await asyncio.wait_for(silent[0][0].readexactly(11), 5) == frame(1, *ANSWER)
+            newcomer = await exchange(server.port, frame(2, *READ))
+            silent[0][1].write(frame(3, *READ))
+            kept = await asyncio.wait_for(silent[0][0].readexactly(11), 5)
+            with contextlib.suppress(ConnectionResetError):
+                assert await asyncio.wait_for(silent[1][0].read(1), 5) == b''
+            for _, writer in silent:
+                writer.close()
+            return newcomer, kept
+
+    assert asyncio.run(scene()) == (frame(2, *ANSWER), frame(3, *ANSWER))
+
+
+def test_every_function_code_over_tcp_is_answered_as_the_specification_says():
+    # Requests of the right structure for the codes that are served, two bytes for the others.
+    bodies = {1: (0, 0, 0, 1), 2: (0, 0, 0, 1), 3: (0, 0, 0, 1), 4: (0, 0, 0, 1)}
+    bodies |= {5: (0, 0, 0xFF, 0), 6: (0, 10, 0, 110), 15: (0, 0, 0, 1, 1, 1), 16: (0, 10, 0, 1, 2, 0, 110)}
+    bodies |= {22: (0, 10, 0, 0, 0, 110), 23: (0, 10, 0, 1, 0, 10, 0, 1, 2, 0, 110)}
+    codes = range(256)
+    stream = run_tcp(b''.join(frame(n, n, *bodies.get(n, (0, 0))) for n in codes))
+    at = 0
+    for n in codes:
+        transaction, protocol, length, unit = struct.unpack_from('>HHHB', stream, at)
+        pdu = stream[at + 7 : at + 6 + length]
+        assert (transaction, protocol, unit) == (n, 0, UNIT)
+        if n in (1, 2, 3, 4):
+            assert pdu[0] == n
+            assert pdu[1] == len(pdu) - 2
+        else:
+            # Unknown functions, and all that write while locked.
+            assert pdu == bytes([n | 0x80, 1])
+        at += 6 + length
+    assert at == len(stream)
+
+
+@pytest.mark.parametrize('transaction', [0, 1, 0x7FFF, 0x8000, 0xFFFF])
+def test_the_transaction_is_repeated(transaction):
+    assert run_tcp(frame(transaction, *READ)) == frame(transaction, *ANSWER)
+
+
+def test_only_the_own_unit_and_255_are_answered_over_tcp():
+    stream = run_tcp(b''.join(frame(unit, *READ, unit=unit) for unit in range(256)))
+    assert stream == frame(UNIT, *ANSWER) + frame(255, *ANSWER, unit=255)
+
+
+def test_the_largest_adu_is_served_and_a_longer_one_ends_the_connection():
+    # 260 bytes: FC 16 with 123 registers is 253 bytes of PDU at most; here it writes where nothing is.
+    largest = (16, 0, 100, 0, 123, 246, *([0] * 246))
+    assert run_tcp(frame(1, *largest)) == frame(1, 0x90, 2)
+    assert run_tcp(frame(1, *largest, 0, 0)) == b''
+
+
+def test_a_frame_that_never_ends_is_forgotten_and_the_next_one_answered():
+    async def scene():
+        async with tcp_server() as (server, _, _):
+            reader, writer = await asyncio.open_connection('127.0.0.1', server.port)
+            writer.write(frame(1, *READ)[:9])
+            await asyncio.sleep(1.5)
+            writer.write(frame(2, *READ))
+            answer = await asyncio.wait_for(reader.readexactly(11), 5)
+            writer.close()
+            return answer
+
+    assert asyncio.run(scene()) == frame(2, *ANSWER)
+
+
+def test_a_peer_that_closes_its_sending_side_still_gets_its_answers():
+    async def scene():
+        async with tcp_server() as (server, _, _):
+            reader, writer = await asyncio.open_connection('127.0.0.1', server.port)
+            writer.write(b''.join(frame(n, *READ) for n in range(20)))
+            writer.write_eof()
+            answers = await asyncio.wait_for(reader.read(), 5)
+            writer.close()
+            return answers
+
+    assert asyncio.run(scene()) == b''.join(frame(n, *ANSWER) for n in range(20))
 
 
 def test_pymodbus_client_reads_the_map_and_writes_after_the_key():

@@ -63,3 +63,27 @@ def test_every_sentence_has_a_valid_checksum_and_fits_82_characters():
 
 def test_no_negative_zero():
     assert hrm('II', picture(roll=-0.01), NOW).startswith('$IIHRM,0.0,')
+
+
+def test_offsets_shift_heel_amplitudes_and_peaks_alike():
+    p = picture(roll=5.0)
+    plain = {n: p.number(n) for n in ('amplitude_port', 'amplitude_starboard', 'peak_port', 'peak_starboard')}
+    p.take_settings({'roll_offset': 1.5, 'pitch_offset': -0.5, 'heading_offset': -10.0})
+    p.take_angles(
+        Angles(NOW + 10**8, '', (math.radians(5.0), 0.0, math.radians(90.0)), *[(0.0,) * 3] * 2, VALID)
+    )
+    assert (p.roll, p.pitch, p.heading) == pytest.approx((6.5, -0.5, 350.0))
+    for name, value in plain.items():
+        assert p.number(name) == pytest.approx(value + (1.5 if 'starboard' in name else -1.5))
+
+
+def test_the_display_filter_smooths_what_is_shown_and_nothing_else():
+    p = Picture()
+    p.take_settings({'display_filter': 2.0})
+    for n in range(21):
+        heel = 0.0 if n == 0 else 10.0
+        angles = (math.radians(heel), 0.0, 0.0)
+        p.take_angles(Angles(NOW + n * 10**8, '', angles, (0.0,) * 3, (0.0,) * 3, VALID))
+    assert p.roll == pytest.approx(10.0)
+    # One time constant after a step.
+    assert p.shown_roll == pytest.approx(10.0 * (1.0 - math.exp(-1.0)))

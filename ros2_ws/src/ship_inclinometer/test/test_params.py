@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import fields
+
 import pytest
 
 from kalman_core.parameters import ParameterError
 from ship_inclinometer.bridge_params import ModbusParams, NmeaParams
+from ship_inclinometer.simulation_params import PlayParams, ShipSimulatorParams, SimulatorParams
 
 
 @pytest.mark.parametrize('allowed', ['', '10.1.2.3', '10.0.0.0/8 ::1/128', '10.0.0.1/8'])
@@ -20,3 +23,10 @@ def test_what_is_no_network_is_refused_by_the_name_of_its_parameter(allowed):
 def test_a_talker_that_would_spoil_the_sentence_is_refused(talker):
     with pytest.raises(ParameterError, match='talker'):
         NmeaParams(talker=talker)
+
+
+def test_what_is_played_and_the_ship_share_no_parameter():
+    # The node declares both: a name in common would set the ship's speed and the playback at once.
+    played, ship = ({f.name for f in fields(kind)} for kind in (PlayParams, SimulatorParams))
+    assert not played & ship
+    assert len(fields(ShipSimulatorParams)) == len(played) + len(ship)

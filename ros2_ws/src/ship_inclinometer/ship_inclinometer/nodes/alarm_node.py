@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
-from kalman_core.parameters import ParameterError
 from node_core.messages import stamp_of
 from node_core.node import WorkspaceNode
 from node_core.ports import BadMessage
@@ -25,8 +23,9 @@ from ship_inclinometer.codec import (
     decode_validity,
     encode_numbers,
 )
-from ship_inclinometer.event_log import EventLog, LogError
+from ship_inclinometer.event_log import LogError
 from ship_inclinometer.marine import Picture
+from ship_inclinometer.nodes.bridge_node import open_log
 from ship_inclinometer.samples import INVALID
 
 # Judged at the rate of the standard's output.
@@ -41,10 +40,7 @@ class AlarmNode(WorkspaceNode):
     def __init__(self) -> None:
         super().__init__('alarm_monitor', AlarmParams)
         params: AlarmParams = self.parameters[AlarmParams]
-        try:
-            self._log = EventLog(Path(params.event_log).expanduser())
-        except LogError as error:
-            raise ParameterError(str(error)) from error
+        self._log = open_log(params.event_log)
         self._monitor = AlarmMonitor(self._thresholds(), params.latching)
         self.parameters.on_change(self._parameters_changed)
         self._picture = Picture()
@@ -57,6 +53,7 @@ class AlarmNode(WorkspaceNode):
         self.listen('std_msgs/msg/String', topics.COMMAND, self._on_command)
         self.create_service(Trigger, '~/acknowledge', self._on_acknowledge)
         self.create_service(Trigger, '~/silence', self._on_silence)
+        self.create_service(SetBool, '~/stop', self._on_stop)
         self.create_timer(_PERIOD, self._judge)
         self._append(self._began, 'start', 'alarm_monitor', 'started')
 
@@ -105,8 +102,12 @@ class AlarmNode(WorkspaceNode):
         self._guarded(topics.ROLL, lambda: take(stamp_of(message), decode_numbers(message)))
 
     def _on_settings(self, message: Any) -> None:
-        take = self._change
-        self._guarded(topics.SETTINGS, lambda: take(stamp_of(message), decode_numbers(message), 'modbus'))
+        def take() -> None:
+            settings = decode_numbers(message)
+            self._picture.take_settings(settings)
+            self._change(stamp_of(message), settings, 'modbus')
+
+        self._guarded(topics.SETTINGS, take)
 
     def _guarded(self, topic: str, take: Any) -> None:
         try:
@@ -126,6 +127,19 @@ class AlarmNode(WorkspaceNode):
             self._append(stamp, 'silence', who, 'silenced')
         elif name == 'log_mark':
             self._append(stamp, 'mark', who, 'mark')
+        elif name in ('stop_set', 'stop_clear'):
+            self._stop(stamp, name == 'stop_set', who)
+
+    def _stop(self, stamp: int, stopped: bool, who: str) -> None:
+        if self._monitor.stopped != stopped:
+            self._append(stamp, 'stop flag', who, 'alarms suspended' if stopped else 'alarms judged again')
+            self._monitor.stopped = stopped
+
+    def _on_stop(self, request: Any, response: Any) -> Any:
+        self._stop(self.get_clock().now().nanoseconds, request.data, 'service')
+        response.success = True
+        response.message = 'alarms suspended' if request.data else 'alarms judged again'
+        return response
 
     def _on_acknowledge(self, _request: Any, response: Any) -> Any:
         events = self._monitor.acknowledge(self.get_clock().now().nanoseconds)

@@ -6,41 +6,27 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 from aiohttp import web
 
 from kalman_core.parameters import ParameterError
-from node_core.messages import stamp_of
-from node_core.node import WorkspaceNode
-from node_core.ports import BadMessage
 from ship_inclinometer import topics
-from ship_inclinometer.attitude_estimator import angles_of
 from ship_inclinometer.bridge_params import DisplayParams
-from ship_inclinometer.codec import IMU, VALUES, decode_attitude, decode_numbers, decode_validity
-from ship_inclinometer.event_log import EventLog, LogError
-from ship_inclinometer.marine import Picture
+from ship_inclinometer.nodes.bridge_node import BridgeNode, open_log
 from ship_inclinometer.web import application
 
 
-class DisplayNode(WorkspaceNode):
+class DisplayNode(BridgeNode):
     """Serves the display; commands go to ship/command and into the event log."""
 
     def __init__(self) -> None:
         super().__init__('display', DisplayParams)
         self._params: DisplayParams = self.parameters[DisplayParams]
-        try:
-            self._log = EventLog(Path(self._params.event_log).expanduser())
-        except LogError as error:
-            raise ParameterError(str(error)) from error
-        self._picture = Picture()
-        self._alarms: dict[str, float] = {}
+        self._log = open_log(self._params.event_log)
         self._publisher, self._message = self.publish_to('std_msgs/msg/String', topics.COMMAND)
-        self.listen(IMU, topics.ATTITUDE, self._on_attitude)
-        self.listen(VALUES, topics.VALIDITY, self._on_validity, latched=True)
-        self.listen(VALUES, topics.ROLL, self._on_roll)
-        self.listen(VALUES, topics.ALARMS, self._on_alarms, latched=True)
+        self._watch()
+        self._watch_settings()
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         try:
@@ -72,7 +58,7 @@ class DisplayNode(WorkspaceNode):
             'time': now * 1e-9,
             'validity': validity,
             'reason': reason,
-            'roll': picture.roll,
+            'roll': picture.shown_roll,
             'pitch': picture.pitch,
             'heading': picture.heading,
             'heading_valid': picture.heading_valid,
@@ -83,6 +69,7 @@ class DisplayNode(WorkspaceNode):
             'amplitude_starboard': picture.number('amplitude_starboard'),
             'peak_port': picture.number('peak_port'),
             'peak_starboard': picture.number('peak_starboard'),
+            'stopped': bool(self._alarms.get('stop_flag')),
             'alarms': dict(self._alarms),
         }
 
@@ -90,30 +77,3 @@ class DisplayNode(WorkspaceNode):
         self._log.append(time.time_ns(), 'command', who, name)
         self._message.data = f'{name} {who}'
         self._publisher.publish(self._message)
-
-    def _on_attitude(self, message: Any) -> None:
-        self._guarded(topics.ATTITUDE, lambda: self._picture.take_angles(angles_of(decode_attitude(message))))
-
-    def _on_validity(self, message: Any) -> None:
-        def take() -> None:
-            validity = decode_validity(message)
-            self._picture.validity, self._picture.reason = validity.validity, validity.reason
-            self._picture.heading_valid = validity.heading_valid
-
-        self._guarded(topics.VALIDITY, take)
-
-    def _on_roll(self, message: Any) -> None:
-        take = self._picture.take_roll
-        self._guarded(topics.ROLL, lambda: take(stamp_of(message), decode_numbers(message)))
-
-    def _on_alarms(self, message: Any) -> None:
-        def take() -> None:
-            self._alarms = decode_numbers(message)
-
-        self._guarded(topics.ALARMS, take)
-
-    def _guarded(self, topic: str, take: Any) -> None:
-        try:
-            take()
-        except BadMessage as error:
-            self.get_logger().warning(f'{topic}: {error}', throttle_duration_sec=5.0)

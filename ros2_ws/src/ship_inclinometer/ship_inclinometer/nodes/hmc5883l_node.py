@@ -75,7 +75,7 @@ class Hmc5883lNode(WorkspaceNode):
         level, text = _LEVELS[values.pop('level')], values.pop('message')
         if text != self._said:
             # A call site of rclpy's logger keeps its severity.
-            if level == OK:
+            if level == OK or not self._said:
                 self.get_logger().info(f'{self._params.bus}: {text}')
             else:
                 self.get_logger().warning(f'{self._params.bus}: {text}')

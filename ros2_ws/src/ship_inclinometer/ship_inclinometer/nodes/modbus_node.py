@@ -11,18 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from kalman_core.parameters import ParameterError
-from node_core.messages import stamp_of
-from node_core.node import WorkspaceNode
-from node_core.ports import BadMessage
 from ship_inclinometer import modbus_map as m
 from ship_inclinometer import topics
-from ship_inclinometer.attitude_estimator import angles_of
 from ship_inclinometer.bridge_params import ModbusParams
-from ship_inclinometer.codec import IMU, VALUES, decode_attitude, decode_numbers, decode_validity
-from ship_inclinometer.event_log import EventLog, LogError
-from ship_inclinometer.marine import Picture
+from ship_inclinometer.codec import VALUES, encode_numbers
 from ship_inclinometer.modbus_device import ModbusDevice
 from ship_inclinometer.modbus_server import RtuServer, TcpServer
+from ship_inclinometer.nodes.bridge_node import BridgeNode, open_log
 from ship_inclinometer.samples import DEGRADED, INVALID, VALID
 from ship_inclinometer.settings_file import SettingsError, load_settings, save_settings
 
@@ -30,7 +25,7 @@ from ship_inclinometer.settings_file import SettingsError, load_settings, save_s
 _STOP_LIMIT = 10.0  # s
 
 
-class ModbusNode(WorkspaceNode):
+class ModbusNode(BridgeNode):
     """Serves the register map; its device calls `record`, `command`, `changed` and `save` from the bus."""
 
     def __init__(self) -> None:
@@ -39,22 +34,16 @@ class ModbusNode(WorkspaceNode):
         self._file = Path(self._params.settings_file).expanduser()
         try:
             settings, crc = load_settings(self._file)
-            self._log = EventLog(Path(self._params.event_log).expanduser())
-        except (SettingsError, LogError) as error:
-            raise ParameterError(str(error)) from error
-        self._picture = Picture()
-        self._alarms: dict[str, Any] = {}
-        self._stopped = False
+        except SettingsError as error:
+            raise ParameterError(f"parameter 'settings_file': {error}") from error
+        self._log = open_log(self._params.event_log)
         self.device = ModbusDevice(
             self._params.unit, self, self._params.unlock_key, self._params.unlock_time, settings
         )
         self.device.saved_crc = crc
         self._command, self._command_message = self.publish_to('std_msgs/msg/String', topics.COMMAND)
         self._settings, self._settings_message = self.publish_to(VALUES, topics.SETTINGS, latched=True)
-        self.listen(IMU, topics.ATTITUDE, self._on_attitude)
-        self.listen(VALUES, topics.VALIDITY, self._on_validity, latched=True)
-        self.listen(VALUES, topics.ROLL, self._on_roll)
-        self.listen(VALUES, topics.ALARMS, self._on_alarms, latched=True)
+        self._watch()
         self._loop = asyncio.new_event_loop()
         self._servers = self._start()
         self.create_timer(1.0 / self._params.update_rate, self._update, clock=self.steady_clock)
@@ -105,15 +94,12 @@ class ModbusNode(WorkspaceNode):
 
     def command(self, name: str, who: str) -> None:
         """Hand a coil's command to the nodes that carry it out."""
-        if name.startswith('stop_'):
-            self._stopped = name == 'stop_set'
         self._command_message.data = f'{name} {who}'
         self._command.publish(self._command_message)
 
     def changed(self, settings: dict[str, float]) -> None:
-        """Publish settings for the nodes that use them."""
-        from ship_inclinometer.codec import encode_numbers
-
+        """Use settings here, and publish them for the nodes that use them."""
+        self._picture.take_settings(settings)
         encode_numbers(self._settings_message, time.time_ns(), settings)
         self._settings.publish(self._settings_message)
 
@@ -122,36 +108,7 @@ class ModbusNode(WorkspaceNode):
         save_settings(self._file, settings, crc)
 
     def _refused(self, peer: str) -> None:
-        self.get_logger().warning(f'Modbus TCP: {peer} is not in tcp_allowed, or too many connections')
-
-    def _on_attitude(self, message: Any) -> None:
-        s = self.device.settings
-        offsets = (s['roll_offset'], s['pitch_offset'], s['heading_offset'])
-        try:
-            self._picture.take_angles(angles_of(decode_attitude(message)), offsets)
-        except BadMessage as error:
-            self.get_logger().warning(f'{topics.ATTITUDE}: {error}', throttle_duration_sec=5.0)
-
-    def _on_validity(self, message: Any) -> None:
-        try:
-            validity = decode_validity(message)
-        except BadMessage as error:
-            self.get_logger().warning(f'{topics.VALIDITY}: {error}', throttle_duration_sec=5.0)
-            return
-        self._picture.validity, self._picture.reason = validity.validity, validity.reason
-        self._picture.heading_valid = validity.heading_valid
-
-    def _on_roll(self, message: Any) -> None:
-        try:
-            self._picture.take_roll(stamp_of(message), decode_numbers(message))
-        except BadMessage as error:
-            self.get_logger().warning(f'{topics.ROLL}: {error}', throttle_duration_sec=5.0)
-
-    def _on_alarms(self, message: Any) -> None:
-        try:
-            self._alarms = decode_numbers(message)
-        except BadMessage as error:
-            self.get_logger().warning(f'{topics.ALARMS}: {error}', throttle_duration_sec=5.0)
+        self.get_logger().warning(f'Modbus TCP: {peer} is not in tcp_allowed')
 
     def _update(self) -> None:
         now = self.get_clock().now().nanoseconds
@@ -167,12 +124,11 @@ class ModbusNode(WorkspaceNode):
             'utc_milliseconds': utc // 10**6 % 1000,
             'age': min(max(1e3 * picture.age(now), 0.0), 65535.0),
         }
-        bits = {name: bool(self._alarms.get(name, 0.0)) for name in m.DISCRETE[6:14]}
+        bits = {name: bool(self._alarms.get(name, 0.0)) for name in m.DISCRETE[6:15]}
         bits |= {'valid': validity == VALID, 'degraded': validity == DEGRADED, 'invalid': not known}
         bits |= {
             'heading_valid': known and picture.heading_valid,
             'rolling': picture.number('status') == 0.0,
             'no_roll': picture.number('status') == 1.0,
-            'stop_flag': self._stopped,
         }
         asyncio.run_coroutine_threadsafe(self.device.update(values, bits), self._loop)

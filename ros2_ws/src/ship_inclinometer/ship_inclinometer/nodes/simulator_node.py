@@ -45,7 +45,7 @@ class ShipSimulatorNode(WorkspaceNode):
         self._next: Any = next(self._events, None)
 
     def _step(self) -> None:
-        elapsed = round((time.monotonic_ns() - self._begun) * self._play.speed)
+        elapsed = round((time.monotonic_ns() - self._begun) * self._play.time_factor)
         while self._next is not None and self._next[0] - self._start <= elapsed:
             stamp, topic, index = self._next
             publisher, message = self._outputs[topic]

@@ -16,9 +16,11 @@ usage: ./ws COMMAND [arguments]
 
   run [SYSTEM …]      replay the bags through live ROS 2 graphs; table and HTML report in out/
   test [PACKAGE …]    install what is missing, build with colcon, run the tests (pytest arguments may follow)
+  sweep …             many runs of an estimator over parameters, bags and seeds (ros2 run bag_tools sweep)
   bench [PACKAGE …]   measure every figure against its bar and its peers (docs/results/bench.json)
   bags [--check]      make the fixtures in bags/ from their seeds, or check them against the manifest
   docs [--check]      fill the generated tables of the READMEs and the default YAML files
+  docs --picture      renew the picture in the README from the last report (needs chromium)
   lint                ruff (format and lint) and mypy
   shell [-c COMMAND]  a shell in which every `ros2 …` line of the documents works
   build               set up and build, nothing else
@@ -113,6 +115,15 @@ setup_venv() {
   source "$VENV/bin/activate"
 }
 
+setup_sweep() { # what ros2 run bag_tools sweep needs: 60 MB that no robot does
+  local lock="$WS_ROOT/requirements/lock-sweep.txt" stamp
+  stamp="$(fingerprint "$lock" "$VENV/.ws-stamp")"
+  if [ "$(cat "$VENV/.ws-sweep-stamp" 2>/dev/null)" != "$stamp" ]; then
+    install_pins "$VENV" "$lock"
+    echo "$stamp" >"$VENV/.ws-sweep-stamp"
+  fi
+}
+
 setup_bench() {
   local lock="$WS_ROOT/requirements/lock-bench.txt" stamp
   stamp="$(python --version) $(fingerprint "$lock" "$VENV/.ws-stamp")"
@@ -203,6 +214,7 @@ lock() {
   "$tool/bin/uv" pip compile "${options[@]}" ros.in base.in test.in -o lock.txt
   "$tool/bin/uv" pip compile "${options[@]}" base.in test.in -o lock-jazzy.txt
   "$tool/bin/uv" pip compile "${options[@]}" -c lock.txt bench.in -o lock-bench.txt
+  "$tool/bin/uv" pip compile "${options[@]}" -c lock.txt sweep.in -o lock-sweep.txt
   rm -rf "$tool"
 }
 
@@ -212,10 +224,15 @@ main() {
   case "$command" in
     -h | --help | help) usage ;;
     run) prepare && exec python -m workspace_harness.run "$@" ;;
-    test) prepare && run_tests "$@" ;;
-    bench) prepare && setup_bench && exec "$VENV_BENCH/bin/python" -m bag_tools.bench "$@" ;;
+    test) prepare && setup_sweep && run_tests "$@" ;;
+    sweep) prepare && setup_sweep && exec python -m bag_tools.sweep "$@" ;;
+    bench) prepare && setup_sweep && setup_bench && exec "$VENV_BENCH/bin/python" -m bag_tools.bench "$@" ;;
     bags) prepare && exec python -m workspace_harness.make_bags "$@" ;;
-    docs) prepare && exec python -m bag_tools.readme_tables "$@" ;;
+    docs)
+      prepare
+      if [ "${1:-}" = --picture ]; then shift && exec python "$WS_ROOT/tools/picture.py" "$@"; fi
+      exec python -m bag_tools.readme_tables "$@"
+      ;;
     lint) prepare && lint ;;
     build) prepare ;;
     lock) setup_venv && lock ;;

@@ -12,9 +12,13 @@ from dataclasses import dataclass
 
 from workspace_harness.graph import Graph, TopicEdge
 
-# Lengths in px of the drawing. A glyph of the 12 px face is about 6.6 px wide.
-_GLYPH = 6.6
+# Lengths in px of the drawing. A glyph of the bold 12 px face is about 7.4 px wide, of the small one 5.9 px.
+_GLYPHS = (7.4, 5.9)
 _ROW, _GAP, _COLUMN_GAP, _MARGIN = 42.0, 12.0, 46.0, 10.0
+# A connection that closes a loop swings out this far beside the outermost boxes.
+_SWING = 34.0
+# Where a loop begins, as a reader expects it.
+_SOURCES = ('player', 'simulator', 'driver')
 _STYLE = (
     '.gn{fill:var(--panel);stroke:var(--s0);stroke-width:1.6}.gt{fill:var(--grid);stroke:none}'
     '.ge{fill:none;stroke:var(--muted);stroke-width:1.2}.gh{fill:var(--muted)}'
@@ -41,7 +45,7 @@ class _Box:
 
 def _rate(topic: TopicEdge) -> str:
     if topic.rate is None:
-        return 'on change'
+        return 'silent'
     return f'{topic.rate:.0f} Hz' if topic.rate >= 9.95 else f'{topic.rate:.2g} Hz'
 
 
@@ -67,8 +71,13 @@ def _columns(graph: Graph) -> tuple[dict[str, int], set[tuple[str, str]]]:
         order.append(key)
 
     listened = {n for t in graph.topics for n in t.subscribers}
-    # Sources first, so that a loop is cut where it returns to its source.
-    for key in sorted(after, key=lambda k: (not k.startswith('n'), k[1:] in listened, k)):
+
+    def rank(key: str) -> tuple[bool, bool, bool, str]:
+        # Sources first, so that a loop is cut where it returns to its source.
+        named = any(word in key for word in _SOURCES)
+        return not key.startswith('n'), not named, key[1:] in listened, key
+
+    for key in sorted(after, key=rank):
         if key not in state:
             visit(key)
     column = dict.fromkeys(after, 0)
@@ -79,15 +88,15 @@ def _columns(graph: Graph) -> tuple[dict[str, int], set[tuple[str, str]]]:
     return column, back
 
 
-def _place(boxes: dict[str, _Box], links: list[tuple[str, str]]) -> tuple[float, float]:
-    """Give every box its place: rows by the mean row of what leads to it; return width and height."""
+def _place(boxes: dict[str, _Box], links: list[tuple[str, str]], begin: float) -> tuple[float, float]:
+    """Give every box its place from `begin` (px) on, in the row of what leads to it; return width, height."""
     columns = sorted({box.column for box in boxes.values()})
-    x, height = _MARGIN, 0.0
+    x, height = begin, 0.0
     for number in columns:
         column = [box for box in boxes.values() if box.column == number]
         before = {b.key: [boxes[a].middle for a, c in links if c == b.key] for b in column}
         column.sort(key=lambda b: (sum(before[b.key]) / len(before[b.key]) if before[b.key] else 0.0, b.key))
-        width = max(_GLYPH * max(len(line) for line in box.lines) + 18.0 for box in column)
+        width = max(g * len(line) for box in column for g, line in zip(_GLYPHS, box.lines)) + 18.0
         for row, box in enumerate(column):
             box.x, box.y, box.width = x, _MARGIN + row * (_ROW + _GAP), width
         height = max(height, _MARGIN + len(column) * (_ROW + _GAP))
@@ -97,7 +106,7 @@ def _place(boxes: dict[str, _Box], links: list[tuple[str, str]]) -> tuple[float,
         shift = (height - _MARGIN - len(column) * (_ROW + _GAP)) / 2.0
         for box in column:
             box.y += shift
-    return x - _COLUMN_GAP + _MARGIN, height
+    return x - _COLUMN_GAP + begin, height
 
 
 def _arrow(start: _Box, end: _Box, bottom: float | None) -> str:
@@ -106,9 +115,10 @@ def _arrow(start: _Box, end: _Box, bottom: float | None) -> str:
         bend = max(18.0, (x1 - x0) / 2.0)
         path = f'M{x0:.0f} {y0:.0f}C{x0 + bend:.0f} {y0:.0f} {x1 - bend:.0f} {y1:.0f} {x1 - 5:.0f} {y1:.0f}'
     else:
+        out, into = x0 + _SWING, x1 - _SWING
         path = (
-            f'M{x0:.0f} {y0:.0f}C{x0 + 34:.0f} {y0:.0f} {x0 + 34:.0f} {bottom:.0f} {x0:.0f} {bottom:.0f}'
-            f'L{x1:.0f} {bottom:.0f}C{x1 - 34:.0f} {bottom:.0f} {x1 - 34:.0f} {y1:.0f} {x1 - 5:.0f} {y1:.0f}'
+            f'M{x0:.0f} {y0:.0f}C{out:.0f} {y0:.0f} {out:.0f} {bottom:.0f} {x0:.0f} {bottom:.0f}'
+            f'L{x1:.0f} {bottom:.0f}C{into:.0f} {bottom:.0f} {into:.0f} {y1:.0f} {x1 - 5:.0f} {y1:.0f}'
         )
     head = f'M{x1:.0f} {y1:.0f}l-7 -4v8z'
     return f'<path class="ge" d="{path}"/><path class="gh" d="{head}"/>'
@@ -135,7 +145,8 @@ def draw(graph: Graph, alt: str) -> str:
         boxes[key] = _Box(key, (topic.name.lstrip('/'), about), False, column[key])
     links = [(f'n{n}', f't{t.name}') for t in graph.topics for n in t.publishers if f'n{n}' in boxes]
     links += [(f't{t.name}', f'n{n}') for t in graph.topics for n in t.subscribers if f'n{n}' in boxes]
-    width, height = _place(boxes, [link for link in links if link not in back])
+    begin = _MARGIN + (_SWING if back else 0.0)
+    width, height = _place(boxes, [link for link in links if link not in back], begin)
     arrows = []
     for a, b in links:
         bottom = height + 10.0 * len(arrows) % 30.0 if (a, b) in back else None

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command in every document runs, and prints what the document shows."""
+
+import re
+
+import pytest
+from workspace_harness.documents import (
+    EXEMPT,
+    Runner,
+    blocks,
+    check,
+    documents,
+    exemption,
+    same_text,
+    stays,
+)
+from workspace_harness.make_bags import root
+
+NAMES = [str(path.relative_to(root())) for path in documents()]
+
+
+@pytest.fixture(scope='module')
+def done():
+    """Commands that a document before has run."""
+    return set()
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_command_of_a_document_runs(tmp_path, done, name):
+    path = root() / name
+    runner = Runner(tmp_path, done=done)
+    problems = list(check(path, runner))
+    assert not problems, '\n\n'.join(problems)
+    for command, reason in runner.skipped:
+        print(f'not run: {command} ({reason})')
+
+
+def test_every_link_between_documents_leads_somewhere():
+    broken = []
+    for name in NAMES:
+        path = root() / name
+        text = re.sub(r'^```.*?^```$', '', path.read_text(encoding='utf-8'), flags=re.DOTALL | re.MULTILINE)
+        for target in re.findall(r'\]\(([^)\s]+)\)', text):
+            file, _, anchor = target.partition('#')
+            if '://' in target:
+                continue
+            there = (path.parent / file) if file else path
+            if not there.exists() or (anchor and anchor not in anchors(there)):
+                broken.append(f'{name}: {target}')
+    assert not broken
+
+
+def anchors(path):
+    """Return the anchors that headings get."""
+    headings = re.findall(r'^#+ (.*)$', path.read_text(encoding='utf-8'), re.MULTILINE)
+    return {re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-') for heading in headings}
+
+
+def test_blocks_are_found_and_taken_apart():
+    text = (
+        'Words.\n\n    ros2 run a b &\n    ros2 topic list   # what is there\n\n'
+        '```sh\nros2 run c d & ros2 run e f &\npython x.py \\\n  --long\n```\n\n```text\nout 1\n```\n\n'
+        '```python\nros2 = 1\n```\n\n    not a command\n'
+    )
+    first, second = blocks(text)
+    assert first.commands == ('ros2 run a b', 'ros2 topic list')
+    assert first.output is None
+    assert second.commands == ('ros2 run c d', 'ros2 run e f', 'python x.py --long')
+    assert text[slice(*second.output)] == 'out 1\n'
+
+
+def test_outputs_agree_when_words_do_and_numbers_nearly_do():
+    assert same_text('error 1.00 m\n', 'error  1.001 m\n')
+    assert not same_text('error 1.0 m\n', 'error 1.1 m\n')
+    assert not same_text('error 1.0 m\n', 'errors 1.0 m\n')
+    assert not same_text('1 2\n', '1\n')
+
+
+def test_every_exemption_is_used_and_has_a_reason():
+    commands = [c for name in NAMES for b in blocks((root() / name).read_text('utf-8')) for c in b.commands]
+    assert len(commands) > 60
+    for pattern, reason in EXEMPT.items():
+        assert reason
+        assert any(re.search(pattern, command) for command in commands), f'{pattern} is not needed'
+    # All that starts an estimator or a tool does run.
+    assert not [
+        c for c in commands if exemption(c) and re.match(r'ros2 run (?!.*/dev/)', c) and 'data' not in c
+    ]
+
+
+def test_nodes_are_told_from_tools():
+    assert stays('ros2 run imu_kalman attitude_estimator')
+    assert stays('ros2 run bag_tools record out imu/data')
+    assert not stays('ros2 run bag_tools record out imu/data --count 3')
+    assert not stays('ros2 run bag_tools score a b c')
+    assert not stays('ros2 run bag_tools play x.mcap')

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 
 import flights
 import numpy as np
+import spread
 import synthetic
 from rotorpy_plant import RotorpyPlant
 
@@ -45,6 +46,7 @@ def measure(options: Options) -> Iterable[Row]:
         yield from _documented(seeds)
         yield from _stand(seeds)
         yield from _rotorpy(seeds)
+        yield from _spread(seeds)
         yield from _recorded()
         yield from _autotune()
         yield from _revert(seeds)
@@ -158,6 +160,19 @@ def _rotorpy(seeds: range) -> Iterator[Row]:
     for gain in (0.5, 0.71, 1.41, 2.0):
         found = [_step_of(rotorpy_flight(s, gain=gain)) for s in few]
         yield _row(f'loop gain x {gain:g}: settling', _settling(found), 's', 0.6, seeds=len(few))
+
+
+def _spread(seeds: range) -> Iterator[Row]:
+    crafts = range(2 * len(seeds))
+    share = 100.0 * float(np.mean([spread.succeeds(s) for s in crafts]))
+    yield _row(
+        'random crafts, batteries, IMUs and rates: settle in 0.6 s, overshoot to 2 degrees',
+        share,
+        '%',
+        95.0,
+        better='higher',
+        seeds=len(crafts),
+    )
 
 
 def _recorded() -> Iterator[Row]:

@@ -23,7 +23,9 @@ from quad_control.simulation import QuadSimulator
 _STEP = 0.005
 _HEIGHT = 6.0
 # A descent is one when it ends on the ground within this time (s), slower than this (m/s), this level (rad).
-_LANDING_TIME, _LANDING_SPEED, _LEVEL = 25.0, 2.5, 0.35
+_LANDING_TIME, _LANDING_SPEED, _LEVEL = 35.0, 2.5, 0.35
+# The second of two faults comes this much (s) after the first, in the descent.
+_LATER = 2.0
 
 STATED = {
     'IMU stops': 0.05,
@@ -32,6 +34,9 @@ STATED = {
     'gyro beyond its range': 0.05,
     'link lost': 0.55,
     'battery low': 3.0,
+    'link lost, no range': 0.55,
+    'link lost on a low battery': 0.55,
+    'link lost, then IMU stops': 0.05,
     'controller killed': 0.065,
 }
 """Longest time (s) from each fault to idle motors or the begin of the descent."""
@@ -52,25 +57,18 @@ def inject(fault: str, seed: int) -> Reaction:
     if fault == 'controller killed':
         return _killed(seed)
     flight = _Flight(seed)
-    spoil: Callable[[ImuSample], ImuSample | None] | None = None
-    if fault == 'IMU stops':
-        spoil = _drop
-    elif fault == 'IMU says NaN':
-        spoil = _not_a_number
-    elif fault == 'gyro beyond its range':
-        spoil = _wild
-    elif fault == 'IMU frozen':
-        spoil = _Frozen()
     while flight.time < at:
         flight.step()
-    begin = flight.time
-    if spoil is not None:
-        while flight.time < begin + 1.0:
-            flight.step(spoil)
-            if flight.controller.arming.mode == STOPPED and max(flight.pulses) <= 1000.0:
-                return Reaction(flight.time - begin, True)
-        return Reaction(math.inf, False)
-    return _descent(flight, begin, link=fault != 'link lost', low=fault == 'battery low')
+    if fault == 'link lost, then IMU stops':
+        later = flight.time + _LATER
+        while flight.time < later:
+            flight.step(link=False)
+        return _stop(flight, _drop, link=False)
+    if fault in _SPOILT:
+        return _stop(flight, _SPOILT[fault]())
+    return _descent(
+        flight, link='link lost' not in fault, low='low' in fault, ranged=fault != 'link lost, no range'
+    )
 
 
 class _Flight:
@@ -94,10 +92,11 @@ class _Flight:
         spoil: Callable[[ImuSample], ImuSample | None] | None = None,
         link: bool = True,
         low: bool = False,
+        ranged: bool = True,
     ) -> None:
         """Fly one sample; the sensors and the pilot answer as told."""
         c, plant = self.controller, self.plant
-        if self.steps % 10 == 0:
+        if ranged and self.steps % 10 == 0:
             c.on_range(plant.range())
         if self.steps % 40 == 0:
             battery = plant.battery()
@@ -121,11 +120,21 @@ class _Flight:
         self.steps += 1
 
 
-def _descent(flight: _Flight, begin: float, link: bool, low: bool) -> Reaction:
+def _stop(flight: _Flight, spoil: Callable[[ImuSample], ImuSample | None], link: bool = True) -> Reaction:
+    begin = flight.time
+    while flight.time < begin + 1.0:
+        flight.step(spoil, link=link)
+        if flight.controller.arming.mode == STOPPED and max(flight.pulses) <= 1000.0:
+            return Reaction(flight.time - begin, True)
+    return Reaction(math.inf, False)
+
+
+def _descent(flight: _Flight, link: bool, low: bool, ranged: bool) -> Reaction:
+    begin = flight.time
     reacted = math.inf
     fastest = tilt = 0.0
     while flight.time < begin + _LANDING_TIME:
-        flight.step(link=link, low=low)
+        flight.step(link=link, low=low, ranged=ranged)
         mode = flight.controller.arming.mode
         if mode == DESCENT and reacted == math.inf:
             reacted = flight.time - begin
@@ -183,3 +192,11 @@ class _Frozen:
     def __call__(self, sample: ImuSample) -> ImuSample:
         self._first = self._first or sample
         return self._first._replace(stamp=sample.stamp)
+
+
+_SPOILT: dict[str, Callable[[], Callable[[ImuSample], ImuSample | None]]] = {
+    'IMU stops': lambda: _drop,
+    'IMU says NaN': lambda: _not_a_number,
+    'gyro beyond its range': lambda: _wild,
+    'IMU frozen': _Frozen,
+}

@@ -238,10 +238,11 @@ def advance_gust(x, sigma, tau, dt, white):
 
 
 @njit(cache=True, nogil=True)
-def specific_force(x, p, out):
+def specific_force(x, p, arm, out):
     """Write specific force (m/s², body) into out[0:3] and angular acceleration (rad/s²) into out[3:6].
 
-    The rotors are taken at their present speed; of the point whose motion the state describes.
+    The force is that at `arm` (3,) [m, body] from the point whose motion the state describes; the rotors are
+    taken at their present speed.
     """
     target = np.empty(4)
     for m in range(4):
@@ -252,3 +253,10 @@ def specific_force(x, p, out):
     for m in range(3):
         out[m] = force[m] / p[0]
         out[3 + m] = dx[10 + m]
+    # Rigid body: Euler's acceleration and the centripetal one, w x (w x r) = w (w·r) - r (w·w).
+    wx, wy, wz = x[10], x[11], x[12]
+    along = wx * arm[0] + wy * arm[1] + wz * arm[2]
+    square = wx * wx + wy * wy + wz * wz
+    out[0] += dx[11] * arm[2] - dx[12] * arm[1] + wx * along - arm[0] * square
+    out[1] += dx[12] * arm[0] - dx[10] * arm[2] + wy * along - arm[1] * square
+    out[2] += dx[10] * arm[1] - dx[11] * arm[0] + wz * along - arm[2] * square

@@ -130,11 +130,8 @@ class QuadSimulator:
     def sense(self) -> ImuSample:
         """Return the IMU sample of this instant. Call once per period: noise is drawn."""
         out = np.empty(6)
-        plant.specific_force(self.x, self.p, out)
-        rates = self.x[plant.RATES]
-        arm = self._imu_offset
-        force = out[:3] + np.cross(out[3:], arm) + np.cross(rates, np.cross(rates, arm))
-        return self.imu.sense(self.stamp, rates, force, self.x[plant.ROTORS])
+        plant.specific_force(self.x, self.p, self._imu_offset, out)
+        return self.imu.sense(self.stamp, self.x[plant.RATES], out[:3], self.x[plant.ROTORS])
 
     def range(self) -> RangeSample:
         """Return the height over ground that a down-looking range finder corrects for tilt (m)."""

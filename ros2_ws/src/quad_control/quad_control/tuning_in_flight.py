@@ -104,4 +104,4 @@ class TuningInFlight:
 
 def saturates(demand: np.ndarray, achieved: np.ndarray) -> bool:
     """Return whether the mixer could not give a demanded torque (3,) in full."""
-    return bool(np.any(np.abs(demand - achieved[:3]) > 1e-9))
+    return any(abs(demand[axis] - achieved[axis]) > 1e-9 for axis in range(3))

@@ -108,7 +108,7 @@ def test_on_the_stand_the_accelerometer_sees_tilt_and_in_free_flight_it_does_not
     out = np.zeros(6)
     for pinned, expected in ((True, GRAVITY * math.sin(tilt)), (False, 0.0)):
         craft = benchmark_craft(pinned=pinned)
-        plant.specific_force(state(craft, roll=tilt, rotors=600.0), plant.pack(craft), out)
+        plant.specific_force(state(craft, roll=tilt, rotors=600.0), plant.pack(craft), np.zeros(3), out)
         assert out[1] == pytest.approx(expected, abs=1e-12)
 
 
@@ -144,7 +144,7 @@ def test_the_ground_carries_the_craft_at_rest_and_level():
     assert abs(x[5]) < 1e-3
     assert abs(euler_from_quat(x[plant.QUATERNION])[0]) < 1e-3
     out = np.zeros(6)
-    plant.specific_force(x, plant.pack(craft), out)
+    plant.specific_force(x, plant.pack(craft), np.zeros(3), out)
     assert out[2] == pytest.approx(GRAVITY, abs=0.01)
 
 
@@ -170,5 +170,5 @@ def test_torque_per_thrust_fraction_is_lever_times_thrust():
     x = state(craft)
     x[plant.ROTORS] = [1500.0, 0.0, 1500.0, 0.0]
     out = np.zeros(6)
-    plant.specific_force(x, plant.pack(craft), out)
+    plant.specific_force(x, plant.pack(craft), np.zeros(3), out)
     assert out[3] == pytest.approx(2.0 * max_thrust(craft) * lever(craft) / 0.022)

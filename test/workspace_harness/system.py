@@ -15,7 +15,7 @@ SYSTEMS = {
     'imu_kalman': ('imu_simulator', 'angle_estimator', 'attitude_estimator'),
     'ship_inclinometer': ('ship_simulator', 'attitude_estimator', 'roll_analysis', 'alarm_monitor'),
     'ev_velocity': ('vehicle_simulator', 'velocity_estimator', 'fusion_estimator'),
-    'ins_gps': ('uav_simulator', 'dgps_base', 'ins_gps_estimator'),
+    'ins_gps': ('uav_simulator', 'ins_gps_estimator'),
     'quad_control': ('quad_simulator', 'attitude_filter', 'attitude_controller', 'pilot'),
 }
 # Two estimators of one system may say the same topic; then all but the last get a name space of their own.

@@ -124,14 +124,14 @@ def inav_word(words: list[int]) -> int | None:
     return _unsigned(even, 128, 2, 112) << 16 | _unsigned(words[4], 32, 2, 16)
 
 
-def _gps_accuracy(index: float) -> float:
+def gps_accuracy(index: float) -> float:
     """Return metres of a URA index (IS-GPS-200N 20.3.3.3.1.3, nominal values); 15: 0, unknown."""
     if index >= 15:
         return 0.0
     return round(2.0 ** (1.0 + index / 2.0), 1) if index <= 6 else 2.0 ** (index - 2.0)
 
 
-def _galileo_accuracy(index: float) -> float:
+def galileo_accuracy(index: float) -> float:
     """Return metres of a SISA index (OS SIS ICD table 91); above 125: 0, unknown."""
     steps = ((50, 0.0, 0.01, 0), (75, 0.5, 0.02, 50), (100, 1.0, 0.04, 75), (126, 2.0, 0.16, 100))
     for end, start, step, first in steps:
@@ -147,9 +147,14 @@ def _galileo_health(word: int) -> float:
     return float(e5b << 7 | e5b_data << 6 | e1b << 1 | e1b_data)
 
 
-def _near(second: float, time: float) -> float:
+def near(second: float, time: float) -> float:
     """Return the GPS time nearest to `time` at this second of the week."""
     return time + (second - time % WEEK + WEEK / 2) % WEEK - WEEK / 2
+
+
+def is_orbit(sqrt_a: float, eccentricity: float) -> bool:
+    """Return whether these can be of a GNSS satellite; zeros of one that is being set up are not."""
+    return sqrt_a >= 4000.0 and eccentricity <= 0.5
 
 
 class BroadcastStore:
@@ -198,10 +203,11 @@ class BroadcastStore:
         for key in self._pending:
             row = _assemble(key, self._parts[key], time)
             if row is not None:
-                self._store(row)
+                self.store(row)
         self._pending.clear()
 
-    def _store(self, row: np.ndarray) -> None:
+    def store(self, row: np.ndarray) -> None:
+        """Take an ephemeris (COLUMNS,) in place of the oldest kept one of its satellite."""
         same = (self.ephemerides[:, 0] == row[0]) & (self.ephemerides[:, 1] == row[1])
         others, own = self.ephemerides[~same], self.ephemerides[same]
         toe, issue = COLUMN['toe'], COLUMN['issue']
@@ -218,13 +224,12 @@ def _assemble(key: tuple[int, int], parts: dict[int, int], time: float) -> np.nd
     if len({_unsigned(parts[part], size, start, length) for part, start, length in issues}) > 1:
         return None  # an upload is under way
     values = {name: _value(parts[cell.part], size, cell) for name, cell in cells.items()}
-    # No orbit of either system; zeros of a satellite that is being set up are the usual case.
-    if values['sqrt_a'] < 4000.0 or values['eccentricity'] > 0.5:
+    if not is_orbit(values['sqrt_a'], values['eccentricity']):
         return None
-    values['accuracy'] = (_gps_accuracy if gps else _galileo_accuracy)(values['accuracy'])
+    values['accuracy'] = (gps_accuracy if gps else galileo_accuracy)(values['accuracy'])
     if not gps:
         values['health'] = _galileo_health(parts[5])
-    values['toc'] = _near(values['toc'], time)
-    values['toe'] = _near(values['week_second'], time)
+    values['toc'] = near(values['toc'], time)
+    values['toe'] = near(values['week_second'], time)
     row = ephemeris_row(system=system, satellite=satellite, **values)
     return row if math.isfinite(row.sum()) else None

@@ -14,7 +14,15 @@ import numpy as np
 from ins_gps.dgps import DgpsBase
 from ins_gps.estimator import InsGpsEstimator, warm
 from ins_gps.odometry import ENU_NED, FLIP, odometry_values
-from ins_gps.params import BaseParams, FilterParams, RinexParams, SimulatorParams, UbloxParams
+from ins_gps.params import (
+    BaseParams,
+    FilterParams,
+    NmeaParams,
+    RinexParams,
+    RtcmParams,
+    SimulatorParams,
+    UbloxParams,
+)
 from ins_gps.samples import (
     CORRECTION_FIELDS,
     OBSERVATION_FIELDS,
@@ -30,7 +38,7 @@ from ins_gps.samples import (
     VelocitySample,
 )
 from kalman_core.rotation import quat_multiply
-from node_core.messages import finite3, set_bytes, set_quaternion, set_stamp, stamp_of
+from node_core.messages import finite3, set3, set_bytes, set_quaternion, set_stamp, stamp_of
 from node_core.ports import BadMessage, Input, Output, Ports
 
 IMU = 'sensor_msgs/msg/Imu'
@@ -45,6 +53,7 @@ _MAT_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _COVARIANCE_UNKNOWN = 0
 _COVARIANCE_KNOWN = 3
 _NO_FIX, _FIX = -1, 0
+_NOT_MEASURED = 1e6  # (rad/s)², far beyond any turn
 
 
 def decode_imu(message: Any) -> ImuSample:
@@ -204,8 +213,18 @@ def encode_receiver_fix(sample: ReceiverFix, message: Any, frame: str = 'gnss') 
     encode_fix(FixEstimate(sample.stamp, sample.geodetic, sample.covariance), message)
     message.header.frame_id = frame
     message.status.status = sample.status
-    if sample.status < 0:
-        message.position_covariance_type = _COVARIANCE_UNKNOWN
+    message.position_covariance_type = sample.covariance_type if sample.status >= 0 else _COVARIANCE_UNKNOWN
+
+
+def encode_velocity(sample: VelocitySample, message: Any, frame: str = 'gnss') -> None:
+    """Fill a TwistWithCovarianceStamped whose linear part is velocity in ENU; there is no angular part."""
+    set_stamp(message.header, sample.stamp)
+    message.header.frame_id = frame
+    set3(message.twist.twist.linear, _MAT_ENU_NED @ sample.velocity)
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = _MAT_ENU_NED @ sample.covariance @ _MAT_ENU_NED.T
+    covariance[3, 3] = covariance[4, 4] = covariance[5, 5] = _NOT_MEASURED
+    message.twist.covariance = covariance.ravel()
 
 
 def encode_biases(estimate: BiasEstimate, message: Any) -> None:
@@ -243,7 +262,10 @@ BASE_PORTS = Ports(
     name='dgps_base',
     params=BaseParams,
     estimator=DgpsBase,
-    inputs=(Input('base/observations', CLOUD, decode_observations, 'on_gnss', timeout=5.0),),
+    inputs=(
+        Input('base/observations', CLOUD, decode_observations, 'on_gnss', timeout=5.0),
+        Input('base/position', FIX, decode_fix, 'on_position'),
+    ),
     outputs={Corrections: Output('gnss/corrections', CLOUD, encode_corrections)},
 )
 
@@ -253,4 +275,6 @@ NODE_PARAMETERS = {
     'uav_simulator': SimulatorParams,
     'rinex_driver': RinexParams,
     'ublox_driver': UbloxParams,
+    'nmea_driver': NmeaParams,
+    'rtcm_driver': RtcmParams,
 }

@@ -19,13 +19,16 @@ from ins_gps.constants import SPEED_OF_LIGHT
 from ins_gps.fix import OK, solve_position
 from ins_gps.orbit import azimuth_elevation, range_and_rate
 from ins_gps.params import BaseParams
-from ins_gps.samples import Corrections, GnssEpoch
+from ins_gps.samples import Corrections, GnssEpoch, PositionSample
 from kalman_core.earth import ecef_from_geodetic, geodetic_from_ecef
 from kalman_core.health import Tally
+from kalman_core.parameters import ParameterError
 
 NANOSECONDS = 1_000_000_000
 _SMOOTHING_GAP = 5.0  # s without an epoch after which carrier smoothing begins anew
 _SLOTS = 80
+_WARN, _ERROR = b'\x01', b'\x02'  # DiagnosticStatus
+_MOVED = 0.01  # m, ten times what 1005 and NavSatFix resolve
 
 
 class DgpsBase:
@@ -33,23 +36,49 @@ class DgpsBase:
 
     Codes are smoothed by their carrier (Hatch filter of `smoothing` s). The base's own fix is compared
     with the configured position: if they differ by more than `position_limit` over `position_epochs` epochs
-    the position is wrong, nothing is sent, and diagnostics say by how much.
+    the position is wrong, nothing is sent, and diagnostics say by how much. ParameterError where no position
+    is given and none is asked for on a topic.
     """
 
     def __init__(self, params: BaseParams) -> None:
         self.params = params
         self.tally = Tally()
-        lat, lon, height = params.position
-        self.position = ecef_from_geodetic(math.radians(lat), math.radians(lon), height)
+        if params.position_source == 'parameter' and not any(params.position):
+            raise ParameterError(
+                "parameter 'position' is 0, 0, 0, expected latitude °, longitude ° and height m of the "
+                "antenna; or set 'position_source' to 'topic' to take it from base/position"
+            )
         # Everything that changes: per satellite phase (m), smoothed code (m), count, last correction; then
-        # stamp (s, ns), mean offset of the own fix (3) and its count.
-        self.state = np.zeros(4 * _SLOTS + 6)
+        # stamp (s, ns), mean offset of the own fix (3) and its count; position (ECEF, m), 0 if not known.
+        self.state = np.zeros(4 * _SLOTS + 9)
         self.wrong_position: float | None = None
+        self._take_parameter()
+
+    @property
+    def position(self) -> np.ndarray:
+        """Position of the antenna (3,), ECEF m; zeros while it is not known."""
+        return self.state[4 * _SLOTS + 6 :]
+
+    def _take_parameter(self) -> None:
+        if self.params.position_source == 'parameter':
+            lat, lon, height = self.params.position
+            self.position[:] = ecef_from_geodetic(math.radians(lat), math.radians(lon), height)
 
     def reset(self) -> None:
         """Start anew."""
         self.state[:] = 0.0
         self.wrong_position = None
+        self._take_parameter()
+
+    def on_position(self, sample: PositionSample) -> None:
+        """Take the position from a topic, if asked to; one that moved starts anew."""
+        if self.params.position_source != 'topic':
+            return
+        position = ecef_from_geodetic(*sample.geodetic)
+        if float(np.linalg.norm(position - self.position)) > _MOVED:
+            self.reset()
+            self.position[:] = position
+        self.tally.accept('base/position', sample.stamp)
 
     def on_gnss(self, epoch: GnssEpoch) -> Corrections | None:
         """Return the corrections of one epoch, or None."""
@@ -61,6 +90,9 @@ class DgpsBase:
         dt = epoch.stamp / NANOSECONDS - tail[0] if tail[0] else math.inf
         if dt <= 0.0:
             self.tally.reject('base/observations', 'not newer than the last epoch')
+            return None
+        if not self.position.any():
+            self.tally.reject('base/observations', 'base position not known yet')
             return None
         residuals, above = self._residuals(rows)
         rows, residuals = rows[above], residuals[above]
@@ -148,7 +180,9 @@ class DgpsBase:
         """Return whether the configured position fits what the receiver measures."""
         offset = float(np.linalg.norm(self.state[4 * _SLOTS + 2 : 4 * _SLOTS + 5]))
         values: dict[str, Any] = {'offset of own fix (m)': offset}
+        if not self.position.any():
+            values['level'], values['message'] = _WARN, 'waits for a position on base/position'
         if self.wrong_position is not None:
-            values['level'] = 2
+            values['level'] = _ERROR
             values['message'] = f'base position is wrong by about {self.wrong_position:.0f} m'
         return values

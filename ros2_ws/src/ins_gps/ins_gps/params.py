@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from dataclasses import dataclass
 
 from kalman_core.parameters import ParameterError, parameter
 from node_core.byte_params import RecordingParams, StreamParams
 
+# RINEX bands that `bands` stands for.
+BANDS = {'first': (1,), 'all': (1, 2, 5, 7)}
 MODES = ('ins', 'gps', 'loose', 'tight_doppler', 'tight_tdcp', 'tight_code')
 
 
@@ -63,6 +66,12 @@ class FilterParams:
     gate_probability: float = parameter(
         1e-4, 'false rejection of one good satellite', minimum=1e-12, maximum=0.1
     )
+    drift_probability: float = parameter(
+        1e-4,
+        'false alarm of the test for a code that drifts away slowly',
+        minimum=1e-15,
+        maximum=0.1,
+    )
     lost_time: float = parameter(
         10.0, 'time with most codes rejected after which position and clock start anew', unit='s', minimum=1.0
     )
@@ -116,7 +125,14 @@ class FilterParams:
 class BaseParams:
     """A DGPS base receiver at a known position."""
 
-    position: tuple = parameter((0.0, 0.0, 0.0), 'antenna: latitude °, longitude °, ellipsoidal height m')
+    position: tuple = parameter(
+        (0.0, 0.0, 0.0), 'antenna: latitude °, longitude °, ellipsoidal height m; must be given'
+    )
+    position_source: str = parameter(
+        'parameter',
+        'where the position is from: `position`, or the topic base/position (RTCM 1005/1006, RINEX header)',
+        choices=('parameter', 'topic'),
+    )
     elevation_mask: float = parameter(
         math.radians(5.0), 'satellites below are not corrected', unit='rad', minimum=0.0, maximum=1.5
     )
@@ -168,6 +184,7 @@ class RinexParams(RecordingParams):
     observations: str = parameter('', 'path of the RINEX observation file')
     navigation: str = parameter('', 'paths of RINEX navigation files, separated by commas')
     topic: str = parameter('gnss/observations', 'where the epochs go')
+    position_topic: str = parameter('', "where the header's position goes (base/position); empty: nowhere")
     time_scale: str = parameter(
         'gps', 'header stamps: GPS time written as Unix seconds, or UTC', choices=('gps', 'utc')
     )
@@ -199,4 +216,71 @@ class UbloxParams(StreamParams):
     @property
     def band_numbers(self) -> tuple[int, ...]:
         """RINEX bands as numbers."""
-        return (1,) if self.bands == 'first' else (1, 2, 5, 7)
+        return BANDS[self.bands]
+
+
+@dataclass(frozen=True, slots=True)
+class NmeaParams(StreamParams):
+    """A receiver that speaks NMEA: GGA or RMC, better both; GST for σ, else GSA."""
+
+    baud: int = parameter(9600, 'of a serial port', unit='Bd', minimum=300, maximum=10_000_000)
+    fix_topic: str = parameter('gnss/fix', 'where the fixes go')
+    velocity_topic: str = parameter('', 'where velocities from RMC or VTG go (gnss/velocity); empty: nowhere')
+    range_sigma: float = parameter(
+        4.0, 'error of a range without corrections, where no GST tells σ', unit='m', minimum=0.01
+    )
+    speed_sigma: float = parameter(
+        0.1, 'error of the velocity, of which NMEA says nothing, one σ', unit='m/s', minimum=0.001
+    )
+    time_scale: str = parameter(
+        'utc', 'header stamps: UTC, or GPS time written as Unix seconds', choices=('gps', 'utc')
+    )
+    leap_seconds: int = parameter(18, 'GPS minus UTC', unit='s', minimum=0, maximum=60)
+    date: str = parameter('', 'day (YYYY-MM-DD, UTC) at the start of a recording without RMC and ZDA')
+    frame: str = parameter('gnss', 'frame id of the antenna')
+
+    def __post_init__(self) -> None:
+        if self.date and not self.day:
+            raise ParameterError(f"parameter 'date' is '{self.date}', expected YYYY-MM-DD")
+
+    @property
+    def day(self) -> int:
+        """Noon of the date, ns since 1970; 0 if none is given."""
+        try:
+            noon = datetime.datetime.strptime(self.date, '%Y-%m-%d') + datetime.timedelta(hours=12)
+        except ValueError:
+            return 0
+        return round(noon.replace(tzinfo=datetime.UTC).timestamp()) * 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class RtcmParams(StreamParams):
+    """An RTCM 3 stream with MSM4-MSM7 and the ephemerides 1019, 1045, 1046 of GPS and Galileo."""
+
+    source: str = parameter(
+        '',
+        'file, serial port (/dev/... or COMn), tcp://HOST:PORT or ntrip://[USER:PASSWORD@]HOST[:PORT]/MOUNTPOINT',
+    )
+    bands: str = parameter(
+        'first', 'first: L1 and E1; all: L2, L5, E5a and E5b too', choices=('first', 'all')
+    )
+    topic: str = parameter('gnss/observations', "where the epochs go; a base's: base/observations")
+    position_topic: str = parameter('base/position', 'where the position of 1005 and 1006 goes')
+    time_scale: str = parameter(
+        'utc', 'header stamps: UTC, or GPS time written as Unix seconds', choices=('gps', 'utc')
+    )
+    leap_seconds: int = parameter(18, 'GPS minus UTC', unit='s', minimum=0, maximum=60)
+    gps_week: int = parameter(
+        0,
+        'a GPS week within ten years of an old recording without Galileo, which tells its own; 0: of today',
+        unit='week',
+        minimum=0,
+        maximum=8191,
+    )
+    atmosphere: bool = parameter(True, 'model ionosphere (Klobuchar) and troposphere (Saastamoinen)')
+    frame: str = parameter('gnss', 'frame id of the antenna')
+
+    @property
+    def band_numbers(self) -> tuple[int, ...]:
+        """RINEX bands as numbers."""
+        return BANDS[self.bands]

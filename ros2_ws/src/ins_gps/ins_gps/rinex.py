@@ -24,7 +24,7 @@ NANOSECONDS = 1_000_000_000
 _GPS_EPOCH = datetime.datetime(1980, 1, 6)
 _SYSTEMS = {'G': GPS, 'E': GALILEO}
 # Observation codes by signal, in order of preference: tracked data and pilot before semi-codeless.
-_CODES = {
+CODES = {
     ('G', 1): ('1C', '1X', '1L', '1S', '1P', '1W'),
     ('G', 2): ('2L', '2X', '2C', '2S', '2P', '2W'),
     ('G', 5): ('5X', '5Q', '5I'),
@@ -100,7 +100,7 @@ def _row(system: str, satellite: int, band: int, text: str, columns: tuple[int, 
 
 def _columns_v3(system: str, types: list[str]) -> dict[int, tuple[int, ...]]:
     columns = {}
-    for (letter, band), codes in _CODES.items():
+    for (letter, band), codes in CODES.items():
         if letter != system:
             continue
         for code in codes:
@@ -189,6 +189,10 @@ def _epochs_v3(lines: list[str], start: int, header: _Header, bands: tuple[int, 
             raise ValueError(f'line {index + 1}: expected an epoch record, found {line[:20]!r}')
         flag, count = int(line[31]), int(line[32:35])
         body = lines[index + 1 : index + 1 + count]
+        # Satellites that were cut out of a file by hand still count in its epoch records.
+        early = next((i for i, text in enumerate(body) if text.startswith('>')), None)
+        if early is not None:
+            body, count = body[:early], early
         index += 1 + count
         if flag > 1:
             continue

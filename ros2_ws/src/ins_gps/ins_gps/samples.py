@@ -118,13 +118,15 @@ class FixEstimate(NamedTuple):
 class ReceiverFix(NamedTuple):
     """A receiver's own fix: geodetic (rad, rad, m), covariance (3, 3) in ENU, m^2.
 
-    status as in NavSatStatus: -1 no fix, 0 fix, 2 with differential corrections.
+    status as in NavSatStatus: -1 no fix, 0 fix, 1 with a satellite's, 2 with a ground station's corrections.
+    covariance_type as in NavSatFix: 0 unknown, 1 approximated, 2 diagonal known, 3 known.
     """
 
     stamp: int
     geodetic: np.ndarray
     covariance: np.ndarray
     status: int
+    covariance_type: int = 3
 
 
 class BiasEstimate(NamedTuple):

@@ -15,11 +15,10 @@ import numpy as np
 from pyubx2 import VALNONE, UBXReader
 from pyubx2 import exceptions as ubx_errors
 
-from ins_gps.broadcast import BroadcastStore
-from ins_gps.constants import GALILEO, GPS, SYSTEM_LETTERS, WEEK
-from ins_gps.observations import EpochBuilder
+from ins_gps.constants import GALILEO, GPS, WEEK
+from ins_gps.live_epochs import LiveEpochs
 from ins_gps.rinex import NANOSECONDS, RawEpoch
-from ins_gps.samples import OBS, GnssEpoch, ReceiverFix
+from ins_gps.samples import GnssEpoch, ReceiverFix
 from node_core.byte_frames import UBX, MessageCutter
 
 _HEAD, _TAIL = 6, 2  # bytes of a frame before and after its payload
@@ -133,10 +132,8 @@ class RawxReader:
 class UbloxDecoder:
     """Bytes in, `GnssEpoch` and `ReceiverFix` out, in the order of the stream; nothing is raised.
 
-    A signal whose satellite's position is not known, for want of ephemeris or code, has no row and counts
-    in `left_out`; `missing` names those without ephemeris in the last epoch. `accepted` and `rejected`
-    count messages, the latter by reason. `utc`: stamps in UTC, with the receiver's leap seconds or, until
-    it knows them, `leap`; else GPS time.
+    `accepted` and `rejected` count messages, the latter by reason, `left_out` signals. `utc`: stamps in UTC,
+    with the receiver's leap seconds or, until it knows them, `leap`; else GPS time.
     """
 
     def __init__(
@@ -144,17 +141,16 @@ class UbloxDecoder:
     ) -> None:
         self.accepted: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
-        self.left_out: Counter[str] = Counter()
-        self.missing: tuple[str, ...] = ()
-        self.broadcast = BroadcastStore()
-        self._frames = MessageCutter(self.rejected, UBX)
+        self._messages = MessageCutter(self.rejected, UBX)
         self._rawx = RawxReader(bands)
-        self._atmosphere, self._utc, self._leap = atmosphere, utc, leap
-        self._last = 0
-        self._builder = self._new_builder()
+        self._epochs = LiveEpochs(self.rejected, self._rawx.reset, atmosphere=atmosphere)
+        self.broadcast, self.left_out = self._epochs.broadcast, self._epochs.left_out
+        self._utc, self._leap = utc, leap
 
-    def _new_builder(self) -> EpochBuilder:
-        return EpochBuilder(self.broadcast.ephemerides, atmosphere=self._atmosphere)
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of satellites without ephemeris in the last epoch."""
+        return self._epochs.missing
 
     @property
     def leap_seconds(self) -> int:
@@ -163,7 +159,7 @@ class UbloxDecoder:
 
     def feed(self, data: bytes) -> Iterator[GnssEpoch | ReceiverFix]:
         """Yield what `data` completes."""
-        for frame in self._frames.feed(data):
+        for frame in self._messages.feed(data):
             kind = frame[2:4]
             sample: GnssEpoch | ReceiverFix | None = None
             if kind == _RAWX:
@@ -221,36 +217,7 @@ class UbloxDecoder:
         if isinstance(raw, str):
             self.rejected[f'epoch: {raw}'] += 1
             return None
-        if raw.time == self._last:
-            self.rejected['epoch: repeated'] += 1
+        if not self._epochs.is_new(raw.time):
             return None
-        if raw.time < self._last:
-            self.rejected['time went back'] += 1
-            self._rawx.reset()
-            self._builder = self._new_builder()
-        self._last = raw.time
-        return self._finish(raw)
-
-    def _finish(self, raw: RawEpoch) -> GnssEpoch:
-        self.broadcast.update(raw.time / NANOSECONDS)
-        builder = self._builder
-        builder.ephemerides = self.broadcast.ephemerides
-        builder.use_klobuchar(self.broadcast.klobuchar)
-        builder.leap = self.leap_seconds if self._utc else 0
-        epoch = builder.build(raw)
-        rows = epoch.rows
-        # The receiver has watched the lock longer than this stream, and counts no further than 64.5 s.
-        lock = OBS['lock_time']
-        tracked = np.isfinite(rows[:, OBS['carrier_phase']])
-        rows[tracked, lock] = np.maximum(rows[tracked, lock], self._rawx.locks[tracked])
-        known = np.isfinite(rows[:, OBS['satellite_x']])
-        coded = np.isfinite(rows[:, OBS['pseudorange']])
-        without = rows[~known & coded]
-        names = {f'{SYSTEM_LETTERS[int(row[0])]}{int(row[1]):02d}' for row in without}
-        self.missing = tuple(sorted(names))
         self.accepted['epoch'] += 1
-        if len(without):
-            self.left_out['without ephemeris'] += len(without)
-        if not coded.all():
-            self.left_out['without code'] += int((~coded).sum())
-        return GnssEpoch(epoch.stamp, rows[known])
+        return self._epochs.finish(raw, self._rawx.locks, self.leap_seconds if self._utc else 0)

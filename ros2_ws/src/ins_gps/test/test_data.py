@@ -10,9 +10,10 @@ from ins_gps.fixtures import FIXTURES
 from ins_gps.observations import EpochBuilder
 from ins_gps.params import BaseParams
 from ins_gps.rinex import RinexError, read_navigation, read_observations
-from ins_gps.samples import GnssEpoch
+from ins_gps.samples import GnssEpoch, PositionSample
 from ins_gps.simulation import STANDALONE, Scenario
 from ins_gps.simulation_gnss import simulate
+from kalman_core.parameters import ParameterError
 
 BASE = Scenario(trajectory='s_turns', duration=60.0, imu_rate=20.0)
 
@@ -52,7 +53,7 @@ def test_a_wrong_base_position_is_detected_and_nothing_is_sent():
     still = [GnssEpoch(e.stamp, epochs[0].rows) for e in epochs]
     answers = [base.on_gnss(e) for e in still]
     assert answers[-1] is None
-    assert base.diagnostics()['level'] == 2
+    assert base.diagnostics()['level'] == b'\x02'
     assert base.wrong_position == pytest.approx(222.0, rel=0.15)
     assert base.tally.sensor('base/observations').rejected['wrong base position'] > 5
 
@@ -171,3 +172,30 @@ def test_the_doctor_examines_a_bag(tmp_path):
     findings = examine(tmp_path / 'bag', '/imu/data_raw', '/gnss/observations')
     assert [f.check for f in findings if f.level == 'error'] == ['time']
     assert any('late' in f.text for f in findings)
+
+
+def test_a_base_takes_its_position_from_a_topic_when_asked_to():
+    _, epochs = _base_epochs(3)
+    with pytest.raises(ParameterError, match="'position' is 0, 0, 0"):
+        DgpsBase(BaseParams())
+    base = DgpsBase(BaseParams(position_source='topic', elevation_mask=0.0, position_limit=500.0))
+    assert base.on_gnss(epochs[0]) is None
+    assert base.diagnostics()['message'] == 'waits for a position on base/position'
+    base.on_position(PositionSample(epochs[0].stamp, np.array(BASE.origin), np.eye(3)))
+    told = DgpsBase(BaseParams(position=_degrees(BASE.origin), elevation_mask=0.0, position_limit=500.0))
+    for epoch in epochs[1:]:
+        # The position is sent again and again: only one that moved starts the smoothing anew.
+        base.on_position(PositionSample(epoch.stamp, np.array(BASE.origin), np.eye(3)))
+        np.testing.assert_allclose(base.on_gnss(epoch).rows, told.on_gnss(epoch).rows, atol=1e-6)
+
+
+def test_an_epoch_with_fewer_satellites_than_it_says_is_read(tmp_path):
+    head = [f'{"3.04":>9}{"":11}{"OBSERVATION DATA":<20}{"M":<20}RINEX VERSION / TYPE']
+    head += [f'{"G    2 C1C L1C":<60}SYS / # / OBS TYPES', f'{"":60}END OF HEADER']
+    epochs = []
+    for second, count, satellites in ((0, 2, (5, 7)), (1, 2, (7,)), (2, 1, (5,))):
+        epochs.append(f'> 2023 01 08 10 05 {second:2d}.0000000  0{count:3d}')
+        epochs += [f'G{s:02d}{2.2e7:14.3f}  {1.1e8:14.3f}  ' for s in satellites]
+    path = tmp_path / 'cut.obs'
+    path.write_text('\n'.join([*head, *epochs, '']))
+    assert [len(epoch.rows) for epoch in read_observations(path).epochs] == [2, 1, 1]

@@ -3,7 +3,15 @@ from pathlib import Path
 
 import pytest
 
-from ins_gps.params import BaseParams, FilterParams, RinexParams, SimulatorParams, UbloxParams
+from ins_gps.params import (
+    BaseParams,
+    FilterParams,
+    NmeaParams,
+    RinexParams,
+    RtcmParams,
+    SimulatorParams,
+    UbloxParams,
+)
 from kalman_core.parameters import ParameterError, build, default_yaml
 
 NODES = {
@@ -12,6 +20,8 @@ NODES = {
     'uav_simulator': SimulatorParams,
     'rinex_driver': RinexParams,
     'ublox_driver': UbloxParams,
+    'nmea_driver': NmeaParams,
+    'rtcm_driver': RtcmParams,
 }
 
 
@@ -26,3 +36,6 @@ def test_bad_parameters_are_named():
         build(FilterParams, {'mode': 'magic'})
     with pytest.raises(ParameterError, match='latitude 95'):
         build(BaseParams, {'position': [95.0, 0.0, 0.0]})
+    for date in ('29.2.2024', '2023-02-29', 'today'):
+        with pytest.raises(ParameterError, match=f"'date' is '{date}'"):
+            build(NmeaParams, {'date': date})

@@ -70,6 +70,10 @@ class SourceNode(WorkspaceNode):
         """Return the samples that `item`, which came at `arrival` (ns, the node's clock), completes."""
         raise NotImplementedError
 
+    def rest(self) -> Iterable[Any]:
+        """Return the samples that were held back, at the end of a recording."""
+        return ()
+
     def recorded_time(self, sample: Any) -> int:
         """Return when (ns) a sample of a recording is due."""
         return sample.stamp
@@ -112,14 +116,14 @@ class SourceNode(WorkspaceNode):
                 self._stopping.wait(self.params.reconnect_time)
                 continue
             if item is None:
+                self._take(self.rest(), pace)
                 self._finish()
                 return
-            self._take(item, pace)
+            if item:
+                self._take(self.samples(item, self.get_clock().now().nanoseconds), pace)
 
-    def _take(self, item: Any, pace: Pace) -> None:
-        if not item:
-            return
-        for sample in self.samples(item, self.get_clock().now().nanoseconds):
+    def _take(self, samples: Iterable[Any], pace: Pace) -> None:
+        for sample in samples:
             if self.recorded:
                 pace.wait(self.recorded_time(sample), self._stopping)
             if self._stopping.is_set():

@@ -15,14 +15,18 @@ from ins_gps import codec
 from ins_gps.observations import EpochBuilder
 from ins_gps.params import RinexParams, SimulatorParams
 from ins_gps.rinex import RawEpoch, RinexError, read_navigation, read_observations
-from ins_gps.samples import GnssEpoch
+from ins_gps.samples import GnssEpoch, ReceiverFix
 from ins_gps.scenarios import scenario_of, truth_estimate
 from ins_gps.simulation_gnss import simulate
+from kalman_core.earth import geodetic_from_ecef
 from kalman_core.parameters import ParameterError
 from node_core.byte_node import SourceNode
 from node_core.diagnostics import OK, WARN, status
 from node_core.node import WorkspaceNode
 
+# A header's position is called approximate: receivers write a fix of their own into it.
+_HEADER_SIGMA = 5.0  # m
+_APPROXIMATED = 1  # NavSatFix.COVARIANCE_TYPE_APPROXIMATED
 _TICK = 0.002  # s; each sample still has its own deadline
 
 
@@ -114,9 +118,9 @@ class RinexDriverNode(SourceNode):
         for name in ('observations', 'navigation'):
             if not getattr(params, name).strip(' ,'):
                 raise ParameterError(f"parameter '{name}' is empty, expected the path of a RINEX file")
-        self._observations = self._read('observations', read_observations, params.observations)
+        self._observations = self._load('observations', read_observations, params.observations)
         names = [name.strip() for name in params.navigation.split(',') if name.strip()]
-        files = [self._read('navigation', read_navigation, name) for name in names]
+        files = [self._load('navigation', read_navigation, name) for name in names]
         coefficients = next((f.klobuchar for f in files if math.isfinite(f.klobuchar.sum())), None)
         leap = params.leap_seconds if params.time_scale == 'utc' else 0
         self._builder = EpochBuilder(
@@ -125,11 +129,18 @@ class RinexDriverNode(SourceNode):
         if not self._observations.epochs:
             raise ParameterError(f"parameter 'observations': {params.observations} has no epochs")
         epochs, self._message = self.publish_to(codec.CLOUD, params.topic)
-        self._publish = epochs.publish
-        self.begin(params.observations, epochs, recorded=True)
+        publishers = [epochs]
+        self._publish, self._publish_position = epochs.publish, None
+        if params.position_topic:
+            positions, self._position = self.publish_to(codec.FIX, params.position_topic)
+            self._publish_position = positions.publish
+            publishers.append(positions)
+            if not np.isfinite(self._observations.position).all() or not self._observations.position.any():
+                raise ParameterError(f"parameter 'position_topic': {params.observations} has no position")
+        self.begin(params.observations, *publishers, recorded=True)
 
     @staticmethod
-    def _read(name: str, reader: Callable[[str], Any], path: str) -> Any:
+    def _load(name: str, reader: Callable[[str], Any], path: str) -> Any:
         try:
             return reader(path)
         except RinexError as error:
@@ -144,7 +155,12 @@ class RinexDriverNode(SourceNode):
         return (self._builder.build(item),)
 
     def publish(self, sample: GnssEpoch) -> bool:
-        """Publish an epoch."""
+        """Publish an epoch, after the position that goes with it."""
+        if self._publish_position is not None:
+            geodetic = np.array(geodetic_from_ecef(self._observations.position))
+            fix = ReceiverFix(sample.stamp, geodetic, _HEADER_SIGMA**2 * np.eye(3), 0, _APPROXIMATED)
+            codec.encode_receiver_fix(fix, self._position, self.params.frame)
+            self._publish_position(self._position)
         codec.encode_observations(sample, self._message, self.params.frame)
         self._publish(self._message)
         return True

@@ -32,6 +32,7 @@ setup(
             'import = bag_tools.import_data:main',
             'info = bag_tools.info:main',
             'compare = bag_tools.compare:main',
+            'sweep = bag_tools.sweep:main',
         ]
     },
 )

@@ -28,6 +28,8 @@ RESULTS = Path('docs', 'results', 'bench.json')
 QUICK_RESULTS = Path('out', 'bench_quick.json')
 # Digits of a stored value: more would only be noise of the machine.
 _SIGNIFICANT = 6
+# How the file of a benchmark over the whole graph ends.
+_CAMPAIGN = '_bench.py'
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,20 +89,27 @@ def project_root(start: Path | None = None) -> Path:
 
 
 def bench_file(root: Path, package: str) -> Path:
-    """Return where `package` keeps its benchmark, there or not."""
-    return root / 'ros2_ws' / 'src' / package / 'bench' / 'bench.py'
+    """Return where `package`, or the campaign of that name over the whole graph, keeps its benchmark."""
+    campaign = root / 'test' / 'bench' / f'{package}{_CAMPAIGN}'
+    return campaign if campaign.is_file() else root / 'ros2_ws' / 'src' / package / 'bench' / 'bench.py'
+
+
+def campaigns(root: Path) -> list[str]:
+    """Return the names of the benchmarks over the whole graph: they run only when they are named."""
+    return sorted(p.name.removesuffix(_CAMPAIGN) for p in (root / 'test' / 'bench').glob(f'*{_CAMPAIGN}'))
 
 
 def choose_packages(root: Path, asked: list[str]) -> tuple[list[str], list[str]]:
-    """Return (packages to measure, packages without a benchmark); all packages when none is asked for.
+    """Return (what to measure, packages without a benchmark); all packages when nothing is asked for.
 
     Raises BenchError for a package that does not exist.
     """
     source = root / 'ros2_ws' / 'src'
     known = sorted(path.parent.name for path in source.glob('*/package.xml'))
+    named = [*known, *campaigns(root)]
     for package in asked:
-        if package not in known:
-            raise BenchError(f"unknown package '{package}'; known: {', '.join(known)}")
+        if package not in named:
+            raise BenchError(f"unknown package '{package}'; known: {', '.join(named)}")
     chosen = asked or known
     there = [package for package in chosen if bench_file(root, package).is_file()]
     return there, [package for package in chosen if package not in there]

@@ -284,7 +284,7 @@ def _endurance() -> Iterator[Row]:
 
 
 def _live(quick: bool) -> Iterator[Row]:
-    from live import CALM, fly_live
+    from live import CALM, fly_live, kill_live
 
     for rate in (200.0, 500.0):
         flown = fly_live(rate, 10.0 if quick else 600.0)
@@ -293,3 +293,5 @@ def _live(quick: bool) -> Iterator[Row]:
         yield _row(f'{name}: lost samples', flown.lost, '1', 0.0)
         stable = flown.seconds if flown.tilt < CALM and not flown.crashed else 0.0
         yield _row(f'{name}: stable flight', stable, 's', 10.0 if quick else 600.0, better='higher')
+    limit = 1e3 * STATED['controller killed']
+    yield _row('live processes: controller killed, to idle pulses', 1e3 * kill_live(), 'ms', limit)

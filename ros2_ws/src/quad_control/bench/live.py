@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The attitude loop through live processes: simulator, filter, controller, back; and a pilot."""
+"""Live processes: the attitude loop with a pilot in the air, and what happens when its controller dies."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from node_core.testing import Process, probe
 CALM = math.radians(15.0)
 # The pilot sends by the wall clock; at this many setpoints per second none is missed in faster time.
 _STICKS = 200.0
+# A stopped motor's pulse (µs), with a count of the chip to spare.
+_IDLE = 1001.0
 # The first start compiles the kernels.
 _START = 300.0
 
@@ -67,7 +69,7 @@ def fly_live(rate: float, seconds: float) -> LiveFlight:
                 raise RuntimeError(f'the simulator fell silent:\n{craft.output}')
             for message in truths:
                 q, z = message.pose.pose.orientation, message.pose.pose.position.z
-                last = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+                last = _seconds(message)
                 if up_at is None:
                     up_at = last if z > 1.0 else None
                     continue
@@ -82,3 +84,31 @@ def fly_live(rate: float, seconds: float) -> LiveFlight:
                         lost += int(values['unanswered'])
             status.clear()
         return LiveFlight(last - up_at, p50, p99, lost, tilt, crashed)
+
+
+def kill_live() -> float:
+    """Kill the controller process in a hover; return the time (s) from the last pulses of flight to idle."""
+    with ExitStack() as stack:
+
+        def start(name: str, **params) -> Process:
+            return stack.enter_context(Process.node('quad_control', name, params=params))
+
+        start('attitude_filter', lockstep=True)
+        controller = start('attitude_controller', lockstep=True)
+        start('pilot', mission='hover', rate=_STICKS)
+        start('esc_driver', bus='fake')
+        watcher = stack.enter_context(probe())
+        pulses = watcher.collect('sensor_msgs/msg/JointState', 'esc/pulses')
+        truths = watcher.collect('nav_msgs/msg/Odometry', 'truth/odometry')
+        for topic in ('motors/command', 'setpoint', 'esc/pulses'):
+            watcher.wait_for_publisher(topic)
+        start('quad_simulator', pace='lockstep', seed=3)
+        watcher.until(lambda: truths and truths[-1].pose.pose.position.z > 1.0, 'a hover', _START)
+        controller.kill()
+        watcher.until(lambda: max(pulses[-1].position) <= _IDLE, 'idle pulses', _START)
+        flying = [m for m in pulses if max(m.position) > _IDLE]
+        return _seconds(pulses[-1]) - _seconds(flying[-1])
+
+
+def _seconds(message) -> float:
+    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

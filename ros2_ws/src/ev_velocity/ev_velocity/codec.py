@@ -9,6 +9,8 @@ Wheels, pedals and gear are sensor_msgs/JointState with names: ``encoder`` (posi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 from ev_velocity.calibration import calibrated
@@ -145,39 +147,39 @@ def _header(message: Any, stamp: int, frame: str = BODY) -> None:
     message.header.frame_id = frame
 
 
-class _Covariance:
-    """Writes the 6×6 covariance of a message whose other five axes are unknown, once in full."""
+def _encoder(
+    parts: Callable[[Any], tuple[Any, Any]], value: Callable[[Any], float]
+) -> Callable[[Any, Any], None]:
+    """Return an encoder that writes stamp, one number along x and its variance: what changes at 500 Hz.
 
-    def __init__(self) -> None:
-        self._seen: Any = None
+    `parts(message)` gives the vector and the holder of the covariance. They are looked up, and the rest of
+    the message filled, once: a port fills one message again and again.
+    """
+    seen: Any = None
+    clock: Any = None
+    vector: Any = None
+    covariance: Any = None
 
-    def write(self, holder: Any, variance: float) -> None:
-        if self._seen is not holder:
+    def encode(estimate: Any, message: Any) -> None:
+        nonlocal seen, clock, vector, covariance
+        if message is not seen:
+            message.header.frame_id = BODY
+            vector, holder = parts(message)
             holder.covariance[:] = _diagonal(0.0)
-            self._seen = holder
-        holder.covariance[0] = variance
-
-
-def _twist_encoder() -> Any:
-    covariance = _Covariance()
-
-    def encode(estimate: SpeedEstimate | SettledSpeed | FusionEstimate | SettledFusion, message: Any) -> None:
-        _header(message, estimate.stamp)
-        message.twist.twist.linear.x = estimate.speed
-        covariance.write(message.twist, estimate.variance)
+            seen, clock, covariance = message, message.header.stamp, holder.covariance
+        clock.sec, clock.nanosec = divmod(estimate.stamp, NANOSECONDS)
+        vector.x = value(estimate)
+        covariance[0] = estimate.variance
 
     return encode
 
 
-def _acceleration_encoder() -> Any:
-    covariance = _Covariance()
+def _twist_encoder() -> Callable[[Any, Any], None]:
+    return _encoder(lambda message: (message.twist.twist.linear, message.twist), attrgetter('speed'))
 
-    def encode(estimate: AccelerationEstimate, message: Any) -> None:
-        _header(message, estimate.stamp)
-        message.accel.accel.linear.x = estimate.acceleration
-        covariance.write(message.accel, estimate.variance)
 
-    return encode
+def _acceleration_encoder() -> Callable[[Any, Any], None]:
+    return _encoder(lambda message: (message.accel.accel.linear, message.accel), attrgetter('acceleration'))
 
 
 def encode_road(estimate: RoadEstimate, message: Any) -> None:

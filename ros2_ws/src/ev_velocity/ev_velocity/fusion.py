@@ -89,9 +89,8 @@ class _Model:
         return self._handlers[port](sample, float(sample.stamp - self.origin))
 
     def _force(self, sample: ForceSample, t: float) -> FusionEstimate:
-        m = self.state
-        kernels.fuse_step(m, self._constants, sample.force, t)
-        self.prompt = FusionEstimate(sample.stamp, float(m[kernels.SPEED]), float(m[kernels.VARIANCE]))
+        speed, variance = kernels.fuse_step(self.state, self._constants, sample.force, t)
+        self.prompt = FusionEstimate(sample.stamp, speed, variance)
         return self.prompt
 
     def _signed(self, speed: float) -> float:

@@ -103,7 +103,7 @@ def fuse_step(m, constants, force, t):
     """Take the accelerometer reading `force` (m/s²) at `t` (ns): all filters one step, then the fusion.
 
     The integral of the acceleration starts each step from the fused speed: that is how it stays bounded.
-    A sensor that is silent for STALE has infinite σ.
+    A sensor that is silent for STALE has infinite σ. Returns speed (m/s) and its variance.
     """
     dt = (t - m[TIME]) * NS
     if m[RUNNING] == 0.0 or dt <= 0.0:
@@ -111,7 +111,7 @@ def fuse_step(m, constants, force, t):
             m[TIME] = t
             m[ACCEL] = force
             m[RUNNING] = 1.0
-        return
+        return m[SPEED], m[VARIANCE]
     m[TIME] = t
     m[STEP] = dt
     corrected = constants[CORRECTED] > 0.0
@@ -138,6 +138,7 @@ def fuse_step(m, constants, force, t):
     m[SPEED] = k1 * m[WHEEL + M_SPEED] + k2 * m[GPS + M_SPEED] + k3 * integrated
     # Eq. (9), with the fused speed's own variance in the integrated one.
     m[VARIANCE] = (k1 * s1) ** 2 + (k2 * s2) ** 2 + k3 * k3 * (m[VARIANCE] + dt * dt * constants[ACCEL_R])
+    return m[SPEED], m[VARIANCE]
 
 
 # σ (m/s) that stands for a sensor without a say.

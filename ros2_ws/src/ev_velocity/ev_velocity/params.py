@@ -17,11 +17,18 @@ class VelocityParams:
     accelerometer_noise: float = parameter(
         0.0067, 'white noise density of the accelerometer', unit='m/s²/√Hz', minimum=0.0, live=True
     )
+    jerk: float = parameter(
+        1.5, 'how fast the acceleration may change between two readings', unit='m/s³', minimum=0.0, live=True
+    )
     bias_noise: float = parameter(
         0.002, 'random walk of the accelerometer bias', unit='m/s²/√s', minimum=0.0, live=True
     )
     grade_noise: float = parameter(
-        0.008, 'random walk of g·sin(grade) with distance', unit='m/s²/√m', minimum=0.0, live=True
+        0.008,
+        'random walk of g·sin(grade) with distance, on a common road',
+        unit='m/s²/√m',
+        minimum=0.0,
+        live=True,
     )
     bias_sigma: float = parameter(0.5, 'bias and grade at start', unit='m/s²', minimum=1e-3)
     pitch_gain: float = parameter(
@@ -63,7 +70,7 @@ class VelocityParams:
         0.1, 'delay of the GPS speed behind its stamp', unit='s', minimum=0.0, maximum=1.0
     )
     gps_delay_sigma: float = parameter(
-        0.1, 'its uncertainty; 0 trusts gps_delay', unit='s', minimum=0.0, maximum=1.0
+        0.2, 'its uncertainty; 0 trusts gps_delay', unit='s', minimum=0.0, maximum=1.0
     )
     delay_noise: float = parameter(1e-4, 'random walk of the delays', unit='s/√s', minimum=0.0)
     gate: float = parameter(
@@ -79,7 +86,7 @@ class VelocityParams:
         0.5, 'largest estimated speed at which standstill is believed', unit='m/s', minimum=0.0, live=True
     )
     still_sigma: float = parameter(
-        0.008, 'noise of the standstill update', unit='m/s', minimum=1e-4, live=True
+        0.002, 'how much a standing car rocks', unit='m/s', minimum=1e-4, live=True
     )
     coast_noise: float = parameter(
         1.5, 'speed noise density while the accelerometer is silent', unit='m/s/√s', minimum=0.0, live=True
@@ -92,6 +99,9 @@ class VelocityParams:
     )
     bleed_step: float = parameter(
         0.012, 'largest correction let out in 2 ms', unit='m/s', minimum=1e-4, live=True
+    )
+    acceleration_rate: float = parameter(
+        100.0, 'rate of vehicle/acceleration', unit='Hz', minimum=1.0, maximum=1000.0, live=True
     )
     calibration_file: str = parameter('', 'file that keeps wheel scale and slip from drive to drive')
     settled_output: bool = parameter(False, 'also give the estimate once the lag window has passed')

@@ -29,7 +29,17 @@ from ev_velocity.samples import (
     WheelRateSample,
     WheelSpeedSample,
 )
-from ev_velocity.velocity_kernels import direction_of, force_step, let_out, predict
+from ev_velocity.velocity_bank import SPEED_LIMIT
+from ev_velocity.velocity_kernels import (
+    ACCELERATION_DUE,
+    CONSTANTS_DUE,
+    ROAD_DUE,
+    direction_of,
+    force_step,
+    let_out,
+    predict,
+    report,
+)
 from ev_velocity.velocity_updates import count_step, gps_step, speed_step
 from kalman_core.event_time import EventTimeBuffer
 from kalman_core.health import Tally
@@ -41,13 +51,10 @@ EPOCH = 2**50
 START_SPEED_SIGMA = 30.0  # m/s: a car on a road
 # What the wheel may turn out to be after it was refused for the lock-out time: another tyre, low pressure.
 REOPENED_SCALE_SIGMA = 0.05
-# Beyond these a sample is a fault of the sensor, not of the road.
+# Beyond this, or SPEED_LIMIT, a sample is a fault of the sensor, not of the road.
 FORCE_LIMIT = 60.0  # m/s²
-SPEED_LIMIT = 150.0  # m/s
 # A receiver that claims less than this (m/s) has not counted its own correlated errors.
 GPS_SIGMA_FLOOR = 0.02
-ROAD_PERIOD = SECOND // 50
-CONSTANTS_PERIOD = SECOND
 PHASE_THRESHOLD = 0.15  # m/s², the paper's e_x
 
 FORCE, GPS, ANGLE, WHEEL_SPEED, PEDALS, GEAR = range(6)
@@ -84,6 +91,9 @@ def kernel_constants(params: VelocityParams) -> np.ndarray:
         mem.P0_SCALE: max(params.scale_sigma, REOPENED_SCALE_SIGMA) ** 2,
         mem.P0_SLIP: params.slip_sigma**2,
         mem.MAX_GAP: params.max_gap,
+        mem.JERK: params.jerk,
+        mem.GPS_DELAY_VARIANCE: params.gps_delay_sigma**2,
+        mem.ACCELERATION_PERIOD: SECOND / params.acceleration_rate,
         mem.SPEED_DELAY: params.speed_delay,
         mem.SPEED_DELAY_VARIANCE: params.speed_delay_sigma**2,
     }
@@ -110,7 +120,7 @@ class _Model:
     """What the event-time buffer rolls back: one flat array and pure kernels on it."""
 
     def __init__(self, params: VelocityParams, tally: Tally) -> None:
-        self._scratch = np.zeros(mem.N)
+        self._scratch = np.zeros((mem.MODELS, mem.N + 1))
         self._tally = tally
         self.origin: int | None = None
         self.prompt: list = []
@@ -135,29 +145,27 @@ class _Model:
         return self._handlers[port](sample, float(sample.stamp - self.origin))
 
     def _force(self, sample: ForceSample, t: float) -> list:
-        force_step(self.state, self._constants, sample.force, t)
+        outputs = force_step(self.state, self._constants, sample.force, t)
         self._tally.accept(NAMES[FORCE], sample.stamp)
-        self.prompt = self._outputs(sample.stamp, t)
+        self.prompt = self._estimates(sample.stamp, outputs)
         return self.prompt
 
     def prompt_of(self, stamp: int) -> list | None:
         """Return the estimates of the accelerometer sample of `stamp` if it was the last one applied."""
         return self.prompt if self.prompt and self.prompt[0].stamp == stamp else None
 
-    def _outputs(self, stamp: int, t: float) -> list:
-        m = self.state
-        speed, variance, acceleration, acceleration_variance = m[mem.OUTPUT].tolist()
-        estimates: list = [
-            SpeedEstimate(stamp, speed, variance),
-            AccelerationEstimate(stamp, acceleration, acceleration_variance),
-        ]
-        # Half a millisecond of tolerance: jitter of the accelerometer must not halve the rate.
-        if t - m[mem.ROAD_TIME] >= ROAD_PERIOD - SECOND // 2000:
-            d = mem.P + mem.D * (mem.N + 1)
-            estimates.append(RoadEstimate(stamp, float(m[mem.X + mem.D]), float(m[d]), speed, variance))
-            if t // CONSTANTS_PERIOD != m[mem.ROAD_TIME] // CONSTANTS_PERIOD:
+    def _estimates(self, stamp: int, outputs: tuple) -> list:
+        speed, variance, acceleration, acceleration_variance, due = outputs
+        estimates: list = [SpeedEstimate(stamp, speed, variance)]
+        if due:
+            if due & ACCELERATION_DUE:
+                estimates.append(AccelerationEstimate(stamp, acceleration, acceleration_variance))
+            if due & ROAD_DUE:
+                m = self.state
+                d = mem.P + mem.D * (mem.N + 1)
+                estimates.append(RoadEstimate(stamp, float(m[mem.X + mem.D]), float(m[d]), speed, variance))
+            if due & CONSTANTS_DUE:
                 estimates.append(self.constants(stamp))
-            m[mem.ROAD_TIME] = t
         return estimates
 
     def constants(self, stamp: int) -> ConstantsEstimate:
@@ -214,7 +222,7 @@ class _Model:
         if m[mem.FORCE_TIME] >= 0.0 and (t - m[mem.FORCE_TIME]) * 1e-9 <= self.params.max_gap:
             return []
         let_out(m, self._constants, self.params.bleed_time)
-        return self._outputs(stamp, t)
+        return self._estimates(stamp, report(m, self._constants, t))
 
     def _book(self, port: int, stamp: int, done: int) -> None:
         name = NAMES[port]
@@ -276,7 +284,7 @@ class VelocityEstimator:
     def diagnostics(self) -> dict[str, float]:
         """Return what the filter has learned, and how much its innovations exceed their covariance."""
         learned = self._model.constants(0)
-        return {**dict(zip(CONSTANT_NAMES, learned.values)), 'mean_nis': float(self.state[mem.SURPRISE])}
+        return dict(zip(CONSTANT_NAMES, learned.values))
 
     def on_force(self, sample: ForceSample) -> list | None:
         """Take the accelerometer: the fast sensor, at whose stamps the estimate goes out."""

@@ -14,7 +14,15 @@ from ev_velocity.params import VelocityParams
 from ev_velocity.scenarios import PULSES, Drive
 from ev_velocity.velocity import EPOCH, GPS_SIGMA_FLOOR, kernel_constants, start_memory
 from ev_velocity.velocity_kernels import force_step, predict
-from ev_velocity.velocity_memory import DIRECTION, OUT_ACCELERATION, OUT_SPEED, OUT_SPEED_VARIANCE, N, X
+from ev_velocity.velocity_memory import (
+    DIRECTION,
+    MODELS,
+    OUT_ACCELERATION,
+    OUT_SPEED,
+    OUT_SPEED_VARIANCE,
+    N,
+    X,
+)
 from ev_velocity.velocity_updates import count_step, gps_step, speed_step
 
 FORCE, GPS, COUNT, SPEED, GEAR = range(5)
@@ -43,7 +51,7 @@ class Series(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _run(m, constants, kinds, times, values, variances, out, states, done):
-    h = np.zeros(N)
+    h = np.zeros((MODELS, N + 1))
     k = 0
     for i in range(kinds.size):
         kind = kinds[i]

@@ -9,22 +9,31 @@ is still to be let out: it follows the acceleration unfiltered and never steps.
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
+from ev_velocity.velocity_bank import LEAST_VARIANCE, SPREAD, combine, covariance_of, mix, state_of
 from ev_velocity.velocity_memory import (
+    ACCELERATION_PERIOD,
+    ACCELERATION_TIME,
     BLEED,
     BLEED_STEP,
     BLEED_TIME,
+    BLOCK_TIME,
     DIRECTION,
     FORCE,
     FORCE_TIME,
+    GAIN,
+    GAIN_BIAS,
+    HELD,
     INTEGRAL,
+    JERK,
     MAX_GAP,
+    MODELS,
     OUT_ACCELERATION,
     OUT_ACCELERATION_VARIANCE,
     OUT_SPEED,
     OUT_SPEED_VARIANCE,
+    PUSH,
     Q_BIAS,
     Q_COAST,
     Q_DELAY,
@@ -34,8 +43,9 @@ from ev_velocity.velocity_memory import (
     Q_WHEEL,
     RING,
     RING_HEAD,
+    ROAD_TIME,
+    ROUGH,
     SLOTS,
-    SURPRISE,
     TG,
     TIME,
     TW,
@@ -50,20 +60,17 @@ from ev_velocity.velocity_memory import (
     W,
     X,
 )
-from kalman_core.linear import correct_scalar
 
 NS = 1e-9
-# A delay (s) may be estimated this far below zero: some loggers stamp early.
-DELAY_EARLY = 0.5
-DELAY_MAX = 1.0
-# Physical limits of the constants: beyond them the model means nothing.
-GAIN_LIMIT = 0.5
-SCALE_LIMIT = 0.3
-SLIP_LIMIT = 0.05
-# Rounding must not make a variance zero or negative.
-LEAST_VARIANCE = 1e-14
 # Ring entries are this far apart (ns): linear interpolation of ∫f dt errs by jerk·step²/8 < 1 mm/s.
 RING_STEP = 1e7
+# The bank is brought up to date once in this time (ns), and whenever something is measured.
+BLOCK = 2e7
+# Slow outputs (ns); an accelerometer that jitters by less must not halve their rate.
+ROAD_PERIOD = 2e7
+CONSTANTS_PERIOD = 1e9
+JITTER = 5e5
+ACCELERATION_DUE, ROAD_DUE, CONSTANTS_DUE = 1, 2, 4
 # A correction beyond this (m/s) is a new start, not a correction: it goes out at once.
 SNAP = 1.0
 # The step (s) that the cap of the bleed refers to.
@@ -80,59 +87,93 @@ def direction_of(m):
 
 
 @njit(cache=True, nogil=True)
-def predict(m, constants, t):
-    """Advance the filter to `t` (ns) under the specific force m[FORCE]; a no-op backwards.
+def advance(m, constants, t):
+    """Advance the estimate's speed and distance to `t` (ns) under m[FORCE]; a no-op backwards.
 
-    First-order discretisation of v' = (f − b)/(1 + k); the grade's part of b walks with the distance
-    driven, and faster while the innovations are larger than their covariance says.
+    The bank follows in blocks: between two of them its filters move by ∫f dt and their own constants alone.
     """
     if m[TIME] < 0.0:
         m[TIME] = t
+        m[BLOCK_TIME] = t
         return
     dt = (t - m[TIME]) * NS
     if dt <= 0.0:
         return
-    x = m[X : X + N]
-    cov = m[P : P + N * N].reshape(N, N)
-    gain = 1.0 / (1.0 + x[K])
     # A reading older than MAX_GAP no longer says how the car accelerates: coast, and say so in Q.
     held = max(0.0, min(dt, constants[MAX_GAP] - (m[TIME] - m[FORCE_TIME]) * NS))
     if m[FORCE_TIME] < 0.0:
         held = 0.0
-    a = (m[FORCE] - x[B]) * gain
-    dv = held * a
-    v = x[V] + 0.5 * dv
-    direction = direction_of(m)
-    ratio = direction * (1.0 + x[S] + x[C] * a * direction)
-    x[V] += dv
-    x[W] += dt * ratio * v
-    x[D] += dt * v
-    m[INTEGRAL] += m[FORCE] * held + x[B] * (dt - held)
-
-    f_vb = -held * gain
-    f_vk = -dv * gain
-    f_wv = dt * ratio
-    f_ws = dt * direction * v
-    f_wc = dt * a * v
-    # F = I + a few entries: rows, then columns, of W and D first since they use the old V.
-    for j in range(N):
-        cov[W, j] += f_wv * cov[V, j] + f_ws * cov[S, j] + f_wc * cov[C, j]
-        cov[D, j] += dt * cov[V, j]
-        cov[V, j] += f_vb * cov[B, j] + f_vk * cov[K, j]
-    for j in range(N):
-        cov[j, W] += f_wv * cov[j, V] + f_ws * cov[j, S] + f_wc * cov[j, C]
-        cov[j, D] += dt * cov[j, V]
-        cov[j, V] += f_vb * cov[j, B] + f_vk * cov[j, K]
-    speed = abs(v)
-    surprise = max(1.0, m[SURPRISE])
-    cov[V, V] += constants[Q_SPEED] * held + constants[Q_COAST] * (dt - held)
-    cov[B, B] += (constants[Q_BIAS] + constants[Q_GRADE] * speed * surprise * surprise) * dt
-    cov[S, S] += constants[Q_SCALE] * speed * dt
-    cov[TG, TG] += constants[Q_DELAY] * dt
-    cov[TW, TW] += constants[Q_DELAY] * dt
-    cov[W, W] += constants[Q_WHEEL] * speed * dt
+    push = m[FORCE] * held
+    dv = push * m[GAIN] - held * m[GAIN_BIAS]
+    m[X + D] += dt * (m[X + V] + 0.5 * dv)
+    m[X + V] += dv
+    m[PUSH] += push
+    m[HELD] += held
+    # A jerk of j between two readings, h apart, is an error of j·h²/2: nothing at 500 Hz, much at 10 Hz.
+    m[ROUGH] += (0.5 * constants[JERK] * held * held) ** 2
+    m[INTEGRAL] += push + m[X + B] * (dt - held)
     m[TIME] = t
     _remember(m)
+    if t - m[BLOCK_TIME] >= BLOCK:
+        _propagate(m, constants)
+
+
+@njit(cache=True, nogil=True)
+def predict(m, constants, t):
+    """Advance estimate and bank to `t` (ns), as a measurement needs it; a no-op backwards."""
+    advance(m, constants, t)
+    if m[TIME] > m[BLOCK_TIME]:
+        _propagate(m, constants)
+
+
+@njit(cache=True, nogil=True)
+def _propagate(m, constants):
+    """Bring every filter of the bank to m[TIME]: v' = (f − b)/(1 + k), grade as a walk with distance."""
+    dt = (m[TIME] - m[BLOCK_TIME]) * NS
+    held = m[HELD]
+    direction = direction_of(m)
+    for k in range(MODELS):
+        x = state_of(m, k)
+        cov = covariance_of(m, k)
+        gain = 1.0 / (1.0 + x[K])
+        dv = (m[PUSH] - x[B] * held) * gain
+        v = x[V] + 0.5 * dv
+        a = dv / dt
+        ratio = direction * (1.0 + x[S] + x[C] * a * direction)
+        x[V] += dv
+        x[W] += dt * ratio * v
+        x[D] += dt * v
+        f_vb = -held * gain
+        f_vk = -dv * gain
+        f_wv = dt * ratio
+        f_ws = dt * direction * v
+        f_wc = dt * a * v
+        # F = I + a few entries: rows, then columns, of W and D first since they use the old V.
+        for j in range(N):
+            gained = f_vb * cov[B, j] + f_vk * cov[K, j]
+            mean = cov[V, j] + 0.5 * gained
+            cov[W, j] += f_wv * mean + f_ws * cov[S, j] + f_wc * cov[C, j]
+            cov[D, j] += dt * mean
+            cov[V, j] += gained
+        for j in range(N):
+            gained = f_vb * cov[j, B] + f_vk * cov[j, K]
+            mean = cov[j, V] + 0.5 * gained
+            cov[j, W] += f_wv * mean + f_ws * cov[j, S] + f_wc * cov[j, C]
+            cov[j, D] += dt * mean
+            cov[j, V] += gained
+        speed = abs(v)
+        cov[V, V] += constants[Q_SPEED] * held + m[ROUGH] + constants[Q_COAST] * (dt - held)
+        cov[B, B] += (constants[Q_BIAS] + constants[Q_GRADE] * SPREAD[k] ** 2 * speed) * dt
+        cov[S, S] += constants[Q_SCALE] * speed * dt
+        cov[TG, TG] += constants[Q_DELAY] * dt
+        cov[TW, TW] += constants[Q_DELAY] * dt
+        cov[W, W] += constants[Q_WHEEL] * speed * dt
+    m[PUSH] = 0.0
+    m[HELD] = 0.0
+    m[ROUGH] = 0.0
+    m[BLOCK_TIME] = m[TIME]
+    mix(m)
+    combine(m)
 
 
 @njit(cache=True, nogil=True)
@@ -170,9 +211,8 @@ def force_at(m, t):
 
 
 @njit(cache=True, nogil=True)
-def delayed_row(m, delay_index, h):
-    """Fill `h` (N,) with the derivative of v(t − τ) and return v(t − τ); τ is the state `delay_index`."""
-    x = m[X : X + N]
+def delayed_row(m, x, delay_index, h):
+    """Fill `h` with the derivative of v(t − τ) by the state `x` (N,) and return v(t − τ); τ is its delay."""
     tau = x[delay_index]
     then, force = force_at(m, m[TIME] - tau / NS)
     gain = 1.0 / (1.0 + x[K])
@@ -186,72 +226,29 @@ def delayed_row(m, delay_index, h):
 
 
 @njit(cache=True, nogil=True)
-def correct(m, residual, h, r, gate):
-    """Correct x and P with one scalar innovation, `h` (N,) its row and `r` its variance.
-
-    Returns the normalised innovation squared; beyond `gate` nothing is changed. What the speed changes goes
-    into the bleed.
-    """
-    before = m[X + V]
-    _, nis = correct_scalar(m[X : X + N], m[P : P + N * N].reshape(N, N), residual, h, r, gate)
-    _limit(m)
-    m[BLEED] += m[X + V] - before
-    return nis
-
-
-@njit(cache=True, nogil=True)
-def consider(m, residual, h, r, gate):
-    """Correct like `correct`, but leave the wheel's scale as it is and its uncertainty counted.
-
-    Without a GPS only the accelerometer's gain tells it, which is not good enough to weigh a wheel by
-    (Schmidt's consider filter).
-    """
-    x = m[X : X + N]
-    cov = m[P : P + N * N].reshape(N, N)
-    ph = np.zeros(N)
-    for i in range(N):
-        for j in range(N):
-            ph[i] += cov[i, j] * h[j]
-    s = r
-    for i in range(N):
-        s += h[i] * ph[i]
-    nis = residual * residual / s
-    if not nis <= gate:
-        return nis
-    gain = ph / s
-    gain[S] = 0.0
-    before = x[V]
-    for i in range(N):
-        x[i] += gain[i] * residual
-        for j in range(i, N):
-            value = cov[i, j] - gain[i] * ph[j] - ph[i] * gain[j] + gain[i] * gain[j] * s
-            cov[i, j] = value
-            cov[j, i] = value
-        cov[i, i] = max(cov[i, i], LEAST_VARIANCE)
-    _limit(m)
-    m[BLEED] += x[V] - before
-    return nis
-
-
-@njit(cache=True, nogil=True)
-def _limit(m):
-    """Keep the constants within what they can physically be."""
-    x = m[X : X + N]
-    x[K] = min(max(x[K], -GAIN_LIMIT), GAIN_LIMIT)
-    x[S] = min(max(x[S], -SCALE_LIMIT), SCALE_LIMIT)
-    x[C] = min(max(x[C], -SLIP_LIMIT), SLIP_LIMIT)
-    x[TG] = min(max(x[TG], -DELAY_EARLY), DELAY_MAX)
-    x[TW] = min(max(x[TW], -DELAY_EARLY), DELAY_MAX)
-
-
-@njit(cache=True, nogil=True)
 def force_step(m, constants, force, t):
-    """Take the mean specific force (m/s²) of the interval that ends at `t` (ns) and fill the outputs."""
+    """Take the mean specific force (m/s²) of the interval that ends at `t` (ns); see `report`."""
     before = m[TIME]
     m[FORCE] = force
     m[FORCE_TIME] = t
-    predict(m, constants, t)
+    advance(m, constants, t)
     let_out(m, constants, (t - before) * NS if before >= 0.0 else 0.0)
+    return report(m, constants, t)
+
+
+@njit(cache=True, nogil=True)
+def report(m, constants, t):
+    """Return speed, variance, acceleration, variance, and which slow outputs are due at `t` (ns)."""
+    due = 0
+    if t - m[ACCELERATION_TIME] >= constants[ACCELERATION_PERIOD] - JITTER:
+        m[ACCELERATION_TIME] = t
+        due += ACCELERATION_DUE
+    if t - m[ROAD_TIME] >= ROAD_PERIOD - JITTER:
+        due += ROAD_DUE
+        if t // CONSTANTS_PERIOD != m[ROAD_TIME] // CONSTANTS_PERIOD:
+            due += CONSTANTS_DUE
+        m[ROAD_TIME] = t
+    return m[OUT_SPEED], m[OUT_SPEED_VARIANCE], m[OUT_ACCELERATION], m[OUT_ACCELERATION_VARIANCE], due
 
 
 @njit(cache=True, nogil=True)
@@ -269,8 +266,12 @@ def let_out(m, constants, dt):
     gain = 1.0 / (1.0 + m[X + K])
     coasting = (m[TIME] - m[FORCE_TIME]) * NS > constants[MAX_GAP]
     m[OUT_SPEED] = m[X + V] - bleed
-    # The correction held back is a known error: its square belongs to the mean square.
-    m[OUT_SPEED_VARIANCE] = m[P + V * N + V] + bleed * bleed
+    # Since the last block the variance has grown; the correction held back is a known error.
+    pushed = m[HELD] * gain
+    coasted = (m[TIME] - m[BLOCK_TIME]) * NS - m[HELD]
+    grown = constants[Q_SPEED] * m[HELD] + m[ROUGH] + constants[Q_COAST] * coasted
+    crossed = pushed * (pushed * m[P + B * N + B] - 2.0 * m[P + V * N + B])
+    m[OUT_SPEED_VARIANCE] = max(m[P + V * N + V] + crossed, LEAST_VARIANCE) + grown + bleed * bleed
     m[OUT_ACCELERATION] = 0.0 if coasting else (m[FORCE] - m[X + B]) * gain
     m[OUT_ACCELERATION_VARIANCE] = m[P + B * N + B] + (
         constants[Q_COAST] if coasting else constants[Q_SPEED] / max(dt, STEP)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The joint filter's memory: one flat array that holds everything that changes while filtering.
 
-Scalars first, then the state x (N,), the covariance P (N·N,), and a ring of (time, integrated reading).
+Scalars first; then the estimate, its state x (N,) and covariance P (N·N,); then the same of each filter of
+the bank; their weights; and a ring of (time, integrated reading).
 State::
 
     V      speed, m/s                      S      wheel scale error: the wheel reads (1 + s + c·a)·v
@@ -21,7 +22,14 @@ V, B, K, S, C, TG, TW, W, D, PW = range(N)
 
 # Times are ns since the estimator's origin, exact in a double, and −1 for what has not happened yet.
 (
-    TIME,  # of x and P
+    TIME,  # of the estimate's speed and distance
+    BLOCK_TIME,  # of all else in x and P
+    PUSH,  # ∫f dt since then, m/s
+    HELD,  # time since then for which the reading counted, s
+    ROUGH,  # variance of v since then from what the acceleration did between two readings, (m/s)²
+    GAIN,  # mean of 1/(1 + K) and of B/(1 + K) over the bank
+    GAIN_BIAS,
+    MIXED_AT,  # distance driven when the filters of the bank were last mixed, m
     FORCE,  # last specific force, m/s²
     FORCE_TIME,
     INTEGRAL,  # U = ∫f dt, m/s
@@ -42,33 +50,38 @@ V, B, K, S, C, TG, TW, W, D, PW = range(N)
     WHEEL_RESIDUAL,  # m/s
     WHEEL_REFUSED_SINCE,
     GPS_REFUSED_SINCE,
+    GPS_LEAPT,  # whether the first of those refused was far outside the gate
     GPS_ACCEPTED,  # last one used
     NIS,  # of the last update
-    SURPRISE,  # running mean of the normalised innovation squared
-    SURPRISE_TIME,
     SLIP,  # slip ratio of the last wheel sample
-    ROAD_TIME,  # last odometry output
+    ACCELERATION_TIME,  # last output of the acceleration, and of the odometry
+    ROAD_TIME,
     OUT_SPEED,
     OUT_SPEED_VARIANCE,
     OUT_ACCELERATION,
     OUT_ACCELERATION_VARIANCE,
     RING_HEAD,
-) = range(32)
-X = 32
+) = range(39)
+X = 39
 P = X + N
-RING = P + N * N
+FILTER = N + N * N
+PRIOR = (0.25, 0.5, 0.2, 0.05)  # weights of the bank where nothing is known of the road
+MODELS = len(PRIOR)
+BANK = X + FILTER
+WEIGHTS = BANK + MODELS * FILTER
+RING = WEIGHTS + MODELS
 SLOTS = 128  # ring entries: 1.3 s at the ring's step of 10 ms, which holds every delay allowed
 SIZE = RING + 2 * SLOTS
-OUTPUT = slice(OUT_SPEED, OUT_ACCELERATION_VARIANCE + 1)
 
 # What is fixed while filtering.
 (
     Q_SPEED, Q_BIAS, Q_GRADE, Q_WHEEL, Q_DELAY, Q_SCALE,
     GATE, TOOTH, WHEEL_CORRELATION, STILL_VARIANCE,
     STILL_TIME, STILL_SPEED, LOCKOUT, Q_COAST, BLEED_TIME, BLEED_STEP,
-    P0_SCALE, P0_SLIP, MAX_GAP, SPEED_DELAY, SPEED_DELAY_VARIANCE,
-) = range(21)  # fmt: skip
-CONSTANTS = 21
+    P0_SCALE, P0_SLIP, MAX_GAP, SPEED_DELAY, SPEED_DELAY_VARIANCE, ACCELERATION_PERIOD, JERK,
+    GPS_DELAY_VARIANCE,
+) = range(24)  # fmt: skip
+CONSTANTS = 24
 
 # What an update did.
 USED, REFUSED, REOPENED, SKIPPED, STARTED = range(5)
@@ -77,11 +90,14 @@ USED, REFUSED, REOPENED, SKIPPED, STARTED = range(5)
 def fresh(x: np.ndarray, variances: np.ndarray) -> np.ndarray:
     """Return a memory (SIZE,) before its first sample, with state `x` (N,) and `variances` (N,)."""
     m = np.zeros(SIZE)
-    m[[TIME, FORCE_TIME, ROAD_TIME, SURPRISE_TIME]] = -1.0
+    m[[TIME, BLOCK_TIME, FORCE_TIME, ACCELERATION_TIME, ROAD_TIME]] = -1.0
     m[[COUNT_TIME, SPEED_TIME, WHEEL_TIME, WHEEL_ACCEPTED, GPS_ACCEPTED]] = -1.0
     m[[WHEEL_REFUSED_SINCE, GPS_REFUSED_SINCE]] = -1.0
-    m[SURPRISE] = 1.0
-    m[X : X + N] = x
-    m[P : P + N * N] = np.diag(variances).ravel()
+    m[X:P] = x
+    m[P:BANK] = np.diag(variances).ravel()
+    m[BANK:WEIGHTS] = np.tile(m[X:BANK], MODELS)
+    m[WEIGHTS:RING] = PRIOR
+    m[GAIN] = 1.0 / (1.0 + x[K])
+    m[GAIN_BIAS] = x[B] / (1.0 + x[K])
     m[RING:] = -1.0
     return m

@@ -12,21 +12,19 @@ import math
 
 from numba import njit
 
-from ev_velocity.velocity_kernels import (
-    NS,
-    consider,
-    correct,
-    delayed_row,
-    direction_of,
-    predict,
-)
+from ev_velocity.velocity_bank import clone, combine, correct, covariance_of, forget, place, state_of
+from ev_velocity.velocity_kernels import NS, delayed_row, direction_of, force_at, predict
 from ev_velocity.velocity_memory import (
     COUNT,
     COUNT_TIME,
+    GAIN,
     GATE,
     GPS_ACCEPTED,
+    GPS_DELAY_VARIANCE,
+    GPS_LEAPT,
     GPS_REFUSED_SINCE,
     LOCKOUT,
+    MODELS,
     MOVED_TIME,
     NIS,
     P0_SCALE,
@@ -46,13 +44,12 @@ from ev_velocity.velocity_memory import (
     STILL_SPEED,
     STILL_TIME,
     STILL_VARIANCE,
-    SURPRISE,
-    SURPRISE_TIME,
     TG,
     TIME,
     TOOTH,
     TW,
     USED,
+    WEIGHTS,
     WHEEL_ACCEPTED,
     WHEEL_CORRELATION,
     WHEEL_REFUSED_SINCE,
@@ -69,11 +66,6 @@ from ev_velocity.velocity_memory import (
     X,
 )
 
-# Time constant (s) of the mean normalised innovation squared, the most that one sample may weigh in it
-# (a sensor of 1 Hz), and the most that one may say.
-SURPRISE_TIME_CONSTANT = 20.0
-SURPRISE_WEIGHT = 0.05
-SURPRISE_LIMIT = 16.0
 # A GPS speed below so many σ is rectified noise: it says nothing of size or sign.
 RECTIFIED = 3.0
 # A wheel sample younger than this (ns) can bear witness; the slowest usual source has 1 Hz.
@@ -82,6 +74,10 @@ FRESH = 1.5e9
 VOUCHED = 3.0
 # Without a GPS the wheel waits this share of the lock-out time: 4 s of 10, longer than a slip lasts.
 ALONE = 0.4
+# A GPS that drifts out of the gate with no wheel to vouch against it waits this share of the lock-out time:
+# that is a wrong acceleration. One that leaps beyond so many gates is multipath until it has lasted.
+DRIFT = 0.15
+LEAP = 4.0
 # Time (s) within which a wrong acceleration has built up the residual that shows it.
 SINCE = 0.5
 # Time (s) over which the wheel's residual is averaged: one count at 10 Hz is good for 0.2 m/s only.
@@ -96,32 +92,12 @@ NO_GATE = math.inf
 
 
 @njit(cache=True, nogil=True)
-def _forget(m, index, variance):
-    """Give state `index` the variance and no correlation."""
-    cov = m[P : P + N * N].reshape(N, N)
-    for i in range(N):
-        cov[index, i] = 0.0
-        cov[i, index] = 0.0
-    cov[index, index] = variance
-
-
-@njit(cache=True, nogil=True)
 def _anchor(m, constants, distance):
     """Take the wheel's distance (m) as measured: what it rolled since the last sample says nothing."""
     m[PENDING] = 0.0
-    m[X + W] = distance
-    _forget(m, W, tooth_variance(constants))
-
-
-@njit(cache=True, nogil=True)
-def _clone(m):
-    """Set PW = W, with its covariances."""
-    cov = m[P : P + N * N].reshape(N, N)
-    m[X + PW] = m[X + W]
-    for i in range(N):
-        cov[PW, i] = cov[W, i]
-    for i in range(N):
-        cov[i, PW] = cov[i, W]
+    place(m, W, distance)
+    forget(m, W, tooth_variance(constants))
+    combine(m)
 
 
 @njit(cache=True, nogil=True)
@@ -130,6 +106,16 @@ def _refused_too_long(m, since, limit):
     if m[since] < 0.0:
         m[since] = m[TIME]
     return m[TIME] - m[since] > limit
+
+
+@njit(cache=True, nogil=True)
+def _doubt(m, since, residual):
+    """Return the variance that a sample's residual adds while its sensor is refused, since m[since].
+
+    The first sample that passes the gate again may still hold part of the fault: the less it fits, the less
+    it counts. The next decides.
+    """
+    return residual * residual if m[since] >= 0.0 else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -155,36 +141,31 @@ def _judge_wheel(m, constants, accepted):
     if vouched:
         _reopen_scale(m, constants)
     else:
-        _reopen_speed(m, m[WHEEL_RESIDUAL])
+        _reopen_speed(m, m[WHEEL_RESIDUAL], SINCE)
     m[WHEEL_REFUSED_SINCE] = -1.0
     return REOPENED
 
 
 @njit(cache=True, nogil=True)
-def _reopen_speed(m, residual):
-    """Let speed and bias be as wrong as `residual` (m/s) says."""
-    _forget(m, V, residual * residual)
-    m[P + B * N + B] += residual * residual / (SINCE * SINCE)
+def _reopen_speed(m, residual, time):
+    """Let speed and bias be as wrong as a `residual` (m/s) that has grown over `time` (s) says."""
+    forget(m, V, residual * residual)
+    for j in range(MODELS):
+        covariance_of(m, j)[B, B] += residual * residual / (time * time)
+    combine(m)
 
 
 @njit(cache=True, nogil=True)
 def _reopen_scale(m, constants):
-    _forget(m, S, constants[P0_SCALE])
-    _forget(m, C, constants[P0_SLIP])
+    forget(m, S, constants[P0_SCALE])
+    forget(m, C, constants[P0_SLIP])
+    combine(m)
 
 
 @njit(cache=True, nogil=True)
 def _follow_wheel(m, residual, dt):
     """Follow the wheel's mean residual (m/s), refused or not."""
     m[WHEEL_RESIDUAL] += min(dt / WHEEL_AVERAGE, 1.0) * (residual - m[WHEEL_RESIDUAL])
-
-
-@njit(cache=True, nogil=True)
-def _surprised(m, nis):
-    elapsed = (m[TIME] - m[SURPRISE_TIME]) * NS
-    m[SURPRISE_TIME] = m[TIME]
-    weight = min(elapsed / SURPRISE_TIME_CONSTANT, SURPRISE_WEIGHT)
-    m[SURPRISE] += weight * (min(nis, SURPRISE_LIMIT) - m[SURPRISE])
 
 
 @njit(cache=True, nogil=True)
@@ -201,20 +182,42 @@ def slip_ratio(wheel, speed):
 
 
 @njit(cache=True, nogil=True)
-def gps_step(m, constants, speed, variance, t, h):
+def _bend(m, delay_index):
+    """Return the variance (m/s)² of a delayed speed that its row, a straight line in the delay, leaves out.
+
+    It is ½·(v''·σ²)², the second-order term of the Gaussian filter (Athans, Wishner and Bertolini 1968),
+    with the change of acceleration between σ before and after.
+    """
+    variance = m[P + delay_index * N + delay_index]
+    sigma = math.sqrt(variance)
+    at = m[TIME] - m[X + delay_index] / NS
+    _, later = force_at(m, at + sigma / NS)
+    _, earlier = force_at(m, at - sigma / NS)
+    change = (later - earlier) * m[GAIN]
+    return 0.125 * change * change * variance
+
+
+@njit(cache=True, nogil=True)
+def gps_step(m, constants, speed, variance, t, rows):
     """Correct with the GPS speed (m/s, not negative, variance in (m/s)²) stamped `t` (ns).
 
-    `h` (N,) is scratch. Returns what was done.
+    `rows` (MODELS, N + 1) is scratch. Returns what was done.
     """
     predict(m, constants, t)
-    predicted = delayed_row(m, TG, h)
+    signed = direction_of(m) * speed
+    predicted = 0.0
+    for j in range(MODELS):
+        then = delayed_row(m, state_of(m, j), TG, rows[j, :N])
+        rows[j, N] = signed - then
+        predicted += m[WEIGHTS + j] * then
     floor = RECTIFIED * math.sqrt(variance)
+    variance += _bend(m, TG)
     if speed < floor and abs(predicted) < floor:
         m[GPS_REFUSED_SINCE] = -1.0
         return SKIPPED
-    residual = direction_of(m) * speed - predicted
-    m[NIS] = correct(m, residual, h, variance, constants[GATE])
-    _surprised(m, m[NIS])
+    residual = signed - predicted
+    doubt = _doubt(m, GPS_REFUSED_SINCE, residual)
+    m[NIS] = correct(m, rows, variance, constants[GATE], False, doubt)
     if m[NIS] <= constants[GATE]:
         m[GPS_REFUSED_SINCE] = -1.0
         m[GPS_ACCEPTED] = t
@@ -222,34 +225,45 @@ def gps_step(m, constants, speed, variance, t, h):
     vouched = _recent(m, WHEEL_ACCEPTED)
     against = m[WHEEL_RESIDUAL] if _recent(m, WHEEL_TIME) else 0.0
     agree = abs(against) > WHEEL_SAYS and 0.5 < against / residual < 2.0
-    limit = constants[LOCKOUT] * (VOUCHED if vouched else 1.0)
+    if m[GPS_REFUSED_SINCE] < 0.0:
+        m[GPS_LEAPT] = 1.0 if m[NIS] > LEAP * constants[GATE] else 0.0
+    share = VOUCHED if vouched else (1.0 if m[GPS_LEAPT] > 0.0 else DRIFT)
+    limit = constants[LOCKOUT] * share
     if not (agree or _refused_too_long(m, GPS_REFUSED_SINCE, limit)):
         return REFUSED
+    time = SINCE
     if vouched:
         _reopen_scale(m, constants)
-    _reopen_speed(m, residual)
-    correct(m, residual, h, variance, NO_GATE)
+        # Beside a wheel the acceleration cannot have been wrong by more, or the wheel would not have vouched.
+        time = max(time, (m[TIME] - m[GPS_REFUSED_SINCE]) * NS) if m[GPS_REFUSED_SINCE] >= 0.0 else time
+    forget(m, TG, constants[GPS_DELAY_VARIANCE])
+    _reopen_speed(m, residual, time)
+    correct(m, rows, variance, NO_GATE, False, 0.0)
     m[GPS_REFUSED_SINCE] = -1.0
     return REOPENED
 
 
 @njit(cache=True, nogil=True)
-def _correct_by_wheel(m, constants, residual, h, r, gate):
-    """Correct with a wheel sensor; it is learned anew only beside a GPS."""
-    if m[GPS_ACCEPTED] >= 0.0 and m[TIME] - m[GPS_ACCEPTED] < constants[LOCKOUT]:
-        return correct(m, residual, h, r, gate)
-    return consider(m, residual, h, r, gate)
+def _correct_by_wheel(m, constants, rows, r, gate, doubt):
+    """Correct with a wheel sensor; its scale is learned only beside a GPS.
+
+    Without one only the accelerometer's gain tells it, which is not good enough to weigh a wheel by.
+    """
+    alone = m[GPS_ACCEPTED] < 0.0 or m[TIME] - m[GPS_ACCEPTED] >= constants[LOCKOUT]
+    return correct(m, rows, r, gate, alone, doubt)
 
 
 @njit(cache=True, nogil=True)
-def _stand(m, constants, h):
+def _stand(m, constants, rows):
     """Correct with speed zero. A contradiction starts the wait for standstill anew."""
-    h[:] = 0.0
-    h[V] = 1.0
+    rows[:] = 0.0
+    for j in range(MODELS):
+        rows[j, V] = 1.0
+        rows[j, N] = -state_of(m, j)[V]
     m[SLIP] = 0.0
     m[PENDING] = 0.0
     m[WHEEL_RESIDUAL] = 0.0
-    m[NIS] = _correct_by_wheel(m, constants, -m[X + V], h, constants[STILL_VARIANCE], constants[GATE])
+    m[NIS] = _correct_by_wheel(m, constants, rows, constants[STILL_VARIANCE], constants[GATE], 0.0)
     if m[NIS] <= constants[GATE]:
         m[WHEEL_ACCEPTED] = m[TIME]
         m[WHEEL_REFUSED_SINCE] = -1.0
@@ -259,31 +273,21 @@ def _stand(m, constants, h):
 
 
 @njit(cache=True, nogil=True)
-def _use_pending(m, constants, h):
+def _use_pending(m, constants, rows):
     """Use the count that was waiting for the next one."""
     if m[PENDING] > 0.0:
-        h[:] = 0.0
-        h[PW] = 1.0
-        h[TW] = -m[PENDING_SPEED]
-        residual = m[PENDING_COUNT] - (m[X + PW] - m[PENDING_SPEED] * m[X + TW])
-        _correct_by_wheel(m, constants, residual, h, tooth_variance(constants), NO_GATE)
+        rows[:] = 0.0
+        for j in range(MODELS):
+            x = state_of(m, j)
+            rows[j, PW] = 1.0
+            rows[j, TW] = -m[PENDING_SPEED]
+            rows[j, N] = m[PENDING_COUNT] - (x[PW] - m[PENDING_SPEED] * x[TW])
+        _correct_by_wheel(m, constants, rows, tooth_variance(constants), NO_GATE, 0.0)
         m[PENDING] = 0.0
 
 
 @njit(cache=True, nogil=True)
-def _variance_along(m, h):
-    """Return h·P·hᵀ."""
-    cov = m[P : P + N * N].reshape(N, N)
-    total = 0.0
-    for i in range(N):
-        if h[i] != 0.0:
-            for j in range(N):
-                total += h[i] * cov[i, j] * h[j]
-    return total
-
-
-@njit(cache=True, nogil=True)
-def count_step(m, constants, count, t, h):
+def count_step(m, constants, count, t, rows):
     """Take the cumulative encoder count at `t` (ns); the one before is used if this one confirms it.
 
     Waiting keeps the first count of a slip out, which is still within the gate. A count is refused when it
@@ -306,15 +310,13 @@ def count_step(m, constants, count, t, h):
     if steps != 0.0:
         m[MOVED_TIME] = t
     elif t - m[MOVED_TIME] > constants[STILL_TIME] and abs(m[X + V]) < constants[STILL_SPEED]:
-        return _stand(m, constants, h)
+        return _stand(m, constants, rows)
     rolled = steps * constants[TOOTH] / dt
     m[WHEEL_SPEED] = direction_of(m) * rolled / (1.0 + m[X + S])
     m[SLIP] = slip_ratio(m[WHEEL_SPEED], m[X + V])
-    h[:] = 0.0
-    h[W] = 1.0
-    h[TW] = -rolled
     residual = z - (m[X + W] - rolled * m[X + TW])
-    variance = _variance_along(m, h)
+    cov = m[P : P + N * N].reshape(N, N)
+    variance = cov[W, W] - 2.0 * rolled * cov[W, TW] + rolled * rolled * cov[TW, TW]
     _follow_wheel(m, direction_of(m) * residual / dt, dt)
     m[NIS] = residual * residual / (variance + tooth_variance(constants))
     accepted = abs(residual) <= 0.5 * constants[TOOTH] + math.sqrt(constants[GATE] * variance)
@@ -324,19 +326,19 @@ def count_step(m, constants, count, t, h):
         # The first count after a slip may hold its last part: only what follows it is believed.
         _anchor(m, constants, z + rolled * m[X + TW])
         return done
-    _use_pending(m, constants, h)
+    _use_pending(m, constants, rows)
     # No new tooth only says that the wheel is less than a tooth further, which the gate has checked.
     if steps == 0.0:
         return SKIPPED
     m[PENDING] = 1.0
     m[PENDING_COUNT] = z
     m[PENDING_SPEED] = rolled
-    _clone(m)
+    clone(m, W, PW)
     return USED
 
 
 @njit(cache=True, nogil=True)
-def speed_step(m, constants, speed, variance, t, h):
+def speed_step(m, constants, speed, variance, t, rows):
     """Correct with a speed signal of the wheels (m/s, not negative, variance in (m/s)²) at `t` (ns).
 
     OBD and ABS give such signals. The noise stays the same for WHEEL_CORRELATION, so that a faster signal
@@ -347,8 +349,9 @@ def speed_step(m, constants, speed, variance, t, h):
     dt = t - m[SPEED_TIME]
     x = m[X : X + N]
     if m[SPEED_TIME] < 0.0:
-        x[TW] = constants[SPEED_DELAY]
-        _forget(m, TW, constants[SPEED_DELAY_VARIANCE])
+        place(m, TW, constants[SPEED_DELAY])
+        forget(m, TW, constants[SPEED_DELAY_VARIANCE])
+        combine(m)
         m[MOVED_TIME] = t
     elif dt <= 0.0:
         return SKIPPED
@@ -359,24 +362,33 @@ def speed_step(m, constants, speed, variance, t, h):
         m[MOVED_TIME] = t
     elif abs(x[V]) < constants[STILL_SPEED]:
         m[SLIP] = 0.0
-        return _stand(m, constants, h) if t - m[MOVED_TIME] > constants[STILL_TIME] else SKIPPED
+        return _stand(m, constants, rows) if t - m[MOVED_TIME] > constants[STILL_TIME] else SKIPPED
     elif abs(x[V]) < BLIND_SPEED:
         return SKIPPED
-    then = delayed_row(m, TW, h)
     sign = direction_of(m)
-    a = -h[TW]
-    ratio = 1.0 + x[S] + x[C] * a * sign
-    for i in range(N):
-        h[i] *= ratio
-    h[S] = then
-    h[C] = a * then * sign
-    residual = sign * speed - ratio * then
-    r = variance * max(1.0, constants[WHEEL_CORRELATION] / dt)
-    m[NIS] = _correct_by_wheel(m, constants, residual, h, r, constants[GATE])
+    residual = 0.0
+    predicted = 0.0
+    for j in range(MODELS):
+        state = state_of(m, j)
+        h = rows[j, :N]
+        then = delayed_row(m, state, TW, h)
+        a = -h[TW]
+        ratio = 1.0 + state[S] + state[C] * a * sign
+        h *= ratio
+        h[S] = then
+        h[C] = a * then * sign
+        rows[j, N] = sign * speed - ratio * then
+        residual += m[WEIGHTS + j] * rows[j, N]
+        predicted += m[WEIGHTS + j] * then
+    r = variance * max(1.0, constants[WHEEL_CORRELATION] / dt) + _bend(m, TW)
+    doubt = _doubt(m, WHEEL_REFUSED_SINCE, residual)
+    m[NIS] = _correct_by_wheel(m, constants, rows, r, constants[GATE], doubt)
     _follow_wheel(m, residual, dt * NS)
-    m[SLIP] = slip_ratio(m[WHEEL_SPEED], then)
-    _surprised(m, m[NIS])
+    m[SLIP] = slip_ratio(m[WHEEL_SPEED], predicted)
     done = _judge_wheel(m, constants, m[NIS] <= constants[GATE])
     if done == REOPENED:
-        _correct_by_wheel(m, constants, residual, h, r, NO_GATE)
+        forget(m, TW, constants[SPEED_DELAY_VARIANCE])
+        combine(m)
+        # What even a reopened scale cannot explain is no wheel speed of this car.
+        _correct_by_wheel(m, constants, rows, r, constants[GATE], 0.0)
     return done

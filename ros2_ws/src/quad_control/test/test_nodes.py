@@ -175,6 +175,15 @@ def test_the_nodes_end_with_0(flight):
     assert {name: process.stop() for name, process in processes.items()} == dict.fromkeys(processes, 0)
 
 
+def test_a_missing_pwm_chip_is_said_on_the_terminal_and_ends_nothing():
+    with (
+        Process.node('quad_control', 'esc_driver', params={'bus': '/dev/i2c-99'}) as process,
+        probe() as watcher,
+    ):
+        watcher.until(lambda: 'no contact with the PWM chip' in process.output, 'the fault', process=process)
+        assert process.stop() == 0
+
+
 @pytest.mark.parametrize(
     ('node', 'params', 'said'),
     [

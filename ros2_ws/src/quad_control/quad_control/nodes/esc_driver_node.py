@@ -42,7 +42,7 @@ class EscDriverNode(WorkspaceNode):
         super().__init__('esc_driver', EscParams)
         params = self.parameters[EscParams]
         self.driver = Pca9685Driver(params, bus_opener(params), time.monotonic_ns)
-        self._rejected = ''
+        self._rejected = self._fault = ''
         publisher, self._message = self.publish_to(codec.JOINTS, 'esc/pulses')
         self._publish = publisher.publish
         self._said: tuple = ()
@@ -63,6 +63,12 @@ class EscDriverNode(WorkspaceNode):
     def _poll(self) -> None:
         self.driver.poll()
         self._report()
+        fault = '' if self.driver.running else self.driver.link.last_fault
+        if fault and fault != self._fault:
+            self.get_logger().error(f'no contact with the PWM chip: {fault}')
+        elif self._fault and not fault:
+            self.get_logger().info('the PWM chip answers')
+        self._fault = fault
 
     def _report(self) -> None:
         """Publish the pulses when they have changed."""

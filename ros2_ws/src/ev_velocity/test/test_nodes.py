@@ -93,9 +93,8 @@ def test_a_can_log_is_replayed_with_its_recorded_stamps(graph, tmp_path):
     car.close()
     wheels = graph.collect(JOINTS, 'wheel/states')
     speeds = graph.collect(TWIST, 'vehicle/speed')
-    with start(
-        'can_driver', interface='log', channel=path, replay_rate=0.0, wait_for_subscribers=LONG
-    ) as process:
+    replay = {'replay_rate': 0.0, 'wait_for_subscribers': LONG, 'queue_depth': 1000}
+    with start('can_driver', interface='log', channel=path, **replay) as process:
         graph.until(lambda: not process.running, 'the end of the log')
         assert process.wait() == 0, process.output
     assert len(wheels) == len(speeds) == 300

@@ -44,9 +44,9 @@ class SourceNode(WorkspaceNode):
         self._source: Source[Any] | None = None
         self._error = ''
         self._state = OK
-        self._connections, self._refused = 0, 0
+        self._connections, self._published = 0, 0
+        self._refused: dict[str, int] = {}
         self._arrived = time.monotonic()
-        self._published = 0
         self._over = False
         self._failure: BaseException | None = None
         self._stopping = threading.Event()
@@ -138,7 +138,8 @@ class SourceNode(WorkspaceNode):
         self.get_logger().info(f'{self.source_name}: open')
 
     def _lose(self, error: str) -> None:
-        if error != self._error:
+        # After Ctrl-C there is no terminal of ROS to say it on.
+        if error != self._error and self.context.ok():
             self.get_logger().warning(f'{error}; tried again every {self.params.reconnect_time:g} s')
         self._error = error
         if self._source is not None:
@@ -173,15 +174,16 @@ class SourceNode(WorkspaceNode):
         """Report the source, what was read, and what was refused with its reason."""
         level, text, values = self.report()
         rejected = dict(self.rejected())
-        refused = sum(rejected.values())
-        fresh, self._refused = refused > self._refused, refused
+        fresh = {reason: count - self._refused.get(reason, 0) for reason, count in rejected.items()}
+        self._refused = rejected
+        worst = max(fresh, key=lambda reason: fresh[reason], default='')
         age = time.monotonic() - self._arrived
         if self._error:
             level, text = ERROR, self._error
         elif not self.recorded and age > _STALE:
             level, text = ERROR, f'{self.source_name}: no {self.what} for {age:.0f} s'
-        elif fresh and level == OK:
-            level, text = WARN, 'input was rejected'
+        elif worst and fresh[worst] > 0 and level == OK:
+            level, text = WARN, f'{sum(fresh.values())} rejected, mostly: {worst}'
         self._say(level, text)
         counts = {'source': self.source_name, 'connections': self._connections, 'published': self._published}
         reasons = {f'rejected: {reason}': count for reason, count in sorted(rejected.items())}
@@ -216,4 +218,4 @@ class ByteNode(SourceNode):
 
     def open(self) -> Source[bytes]:
         """Open the source."""
-        return open_source(self.params.source, self.params.baud)
+        return open_source(self.params.source, self.params.baud, self.recorded)

@@ -245,10 +245,13 @@ def is_recorded(source: str) -> bool:
         return True
 
 
-def open_source(source: str, baud: int) -> Source[bytes]:
-    """Open a source by its name; SourceError if it cannot be."""
+def open_source(source: str, baud: int, recorded: bool) -> Source[bytes]:
+    """Open a source by its name, with what `is_recorded` said of it at first; SourceError if it cannot be.
+
+    A link to a port that is unplugged would look like a missing file.
+    """
     if source.startswith('tcp://'):
         return TcpBytes(source)
     if source.startswith('ntrip://'):
         return NtripBytes(source)
-    return FileBytes(source) if is_recorded(source) else SerialBytes(source, baud)
+    return FileBytes(source) if recorded else SerialBytes(source, baud)

@@ -66,19 +66,19 @@ def test_sources_are_told_apart_by_name(tmp_path):
 def test_a_file_gives_its_bytes_and_ends(tmp_path):
     path = tmp_path / 'drive.nmea'
     path.write_bytes(b'$GP')
-    source = open_source(str(path), 9600)
+    source = open_source(str(path), 9600, True)
     assert source.read() == b'$GP'
     assert source.read() is None
     source.close()
     with pytest.raises(SourceError, match='No such file'):
-        open_source(str(tmp_path / 'none.ubx'), 9600)
+        open_source(str(tmp_path / 'none.ubx'), 9600, True)
     with pytest.raises(SourceError, match='directory'):
-        open_source(str(tmp_path), 9600)
+        open_source(str(tmp_path), 9600, True)
 
 
 def test_a_serial_port_gives_its_bytes_and_its_loss_is_named():
     master, slave = os.openpty()
-    port = open_source(os.ttyname(slave), 115_200)
+    port = open_source(os.ttyname(slave), 115_200, False)
     os.write(master, b'\xb5\x62\x00\xff')
     data = b''
     while len(data) < 4:
@@ -91,7 +91,7 @@ def test_a_serial_port_gives_its_bytes_and_its_loss_is_named():
         port.read()
     port.close()
     with pytest.raises(SourceError, match='/dev/none: No such file'):
-        open_source('/dev/none', 115_200)
+        open_source('/dev/none', 115_200, False)
 
 
 def test_a_server_gives_its_bytes_and_its_end_is_named():
@@ -103,7 +103,7 @@ def test_a_server_that_is_not_there_is_named():
     with socket.create_server(('127.0.0.1', 0)) as listening:
         port = listening.getsockname()[1]
     with pytest.raises(SourceError, match=f'tcp://127.0.0.1:{port}: Connection refused'):
-        open_source(f'tcp://127.0.0.1:{port}', 0)
+        open_source(f'tcp://127.0.0.1:{port}', 0, False)
 
 
 @pytest.mark.parametrize(

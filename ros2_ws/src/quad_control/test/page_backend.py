@@ -34,6 +34,7 @@ class FlyingBackend:
         self.hover = hover_fraction(craft)
         self.controller.start_flying((1.0, 0.0, 0.0, 0.0), self.hover)
         self.acted = []
+        self.trial = ''
         self.roll = 0.0
         self.leaning = 0
         self.counter = 0
@@ -62,7 +63,13 @@ class FlyingBackend:
         return f'did {name}'
 
     def state(self):
-        return {'arming': 'armed', 'voltage': 24.8, 'rate': 200.0, 'trial': '', 'events': self.events[-50:]}
+        return {
+            'arming': 'armed',
+            'voltage': 24.8,
+            'rate': 200.0,
+            'trial': self.trial,
+            'events': self.events[-50:],
+        }
 
     def samples(self, after):
         for _ in range(STEPS):

@@ -12,6 +12,7 @@ import pytest
 from aiohttp import web
 from page_backend import FlyingBackend
 
+from quad_control.params import GAINS
 from quad_control.web_server import TunerServer
 
 TOKEN = 'a-token-of-the-test-0123456789'
@@ -154,6 +155,22 @@ def test_a_gain_is_changed_the_plot_moves_undo_brings_it_back_and_nonsense_is_re
         await page.run("document.getElementById('apply').click()")
         await page.until("document.getElementById('message').textContent.includes('allowed: 0 … 1')")
         assert backend.controller.params.roll_rate_p == 0.06
+
+    visit(check, tmp_path)
+
+
+@pytest.mark.parametrize('width', [360, 390, 768])
+def test_the_page_fits_a_small_screen_with_a_trial_running(width, tmp_path):
+    async def check(page, backend):
+        await page.call(
+            'Emulation.setDeviceMetricsOverride', width=width, height=844, deviceScaleFactor=2, mobile=True
+        )
+        backend.trial = f'on trial: {", ".join(GAINS)} for 4 s'
+        await page.until("!document.getElementById('trial').hidden && samples.length > 100")
+        assert await page.run('document.scrollingElement.scrollWidth') == width
+        assert await page.run("document.getElementById('kill').getBoundingClientRect().right") <= width
+        if 'PAGE_PICTURE' in os.environ:
+            await page.picture(Path(os.environ['PAGE_PICTURE']).with_suffix(f'.{width}.png'))
 
     visit(check, tmp_path)
 

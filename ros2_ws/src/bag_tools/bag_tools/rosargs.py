@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from bag_tools.bag import BagError, resolve
+from node_core.spin import ros_arguments
 
 # rclpy declares these on every node, WorkspaceNode the rest: accepted offline, where they mean nothing.
 _NODE_ONLY = ('use_sim_time', 'lockstep', 'queue_depth', 'start_type_description_service')
@@ -29,10 +30,14 @@ class RosArguments:
 
 
 def split(argv: list[str]) -> tuple[list[str], list[str]]:
-    """Return (own arguments, ROS arguments); the latter lie between ``--ros-args`` and ``--``."""
+    """Return (own arguments, ROS arguments); the latter lie between ``--ros-args`` and ``--``.
+
+    As on the nodes, ``--ros-args`` may be left out: the first ROS flag then begins them.
+    """
     own: list[str] = []
     ros: list[str] = []
     inside = False
+    argv = ros_arguments(argv)
     for argument in argv:
         if argument == '--ros-args':
             inside = True

@@ -33,6 +33,11 @@ PERCENTILES = (50.0, 95.0, 99.0)
 # The delay is searched on at most so many samples: the correlation costs samples times shifts.
 _DELAY_SAMPLES = 20_000
 _DEGREES = 180.0 / math.pi
+# What three numbers of a message mean when it says so; angles are none of these.
+_OTHER_VECTORS = (
+    'position', 'geodetic', 'linear_velocity', 'angular_velocity', 'linear_acceleration',
+    'angular_acceleration', 'magnetic_field',
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +221,11 @@ def _as_orientation(series: Series) -> Series:
     )
 
 
+def _may_be_angles(series: Series) -> bool:
+    """Return whether a series may be roll, pitch, yaw: three numbers whose message does not say otherwise."""
+    return series.kind == 'vector' and series.values.shape[1] == 3 and series.role not in _OTHER_VECTORS
+
+
 def pair(estimates: Sequence[Series], truths: Sequence[Series]) -> list[tuple[Series, Series]]:
     """Return the quantities that can be compared: equal roles first, else the only ones of equal shape.
 
@@ -227,9 +237,9 @@ def pair(estimates: Sequence[Series], truths: Sequence[Series]) -> list[tuple[Se
         return [(e, t) for e, t in pairs if e.kind == t.kind and e.values.shape[1] == t.values.shape[1]]
     for e in estimates:
         for t in truths:
-            if e.kind == 'vector' and t.kind == 'orientation' and e.values.shape[1] == 3:
+            if _may_be_angles(e) and t.kind == 'orientation':
                 return [(_as_orientation(e), t)]
-            if e.kind == 'orientation' and t.kind == 'vector' and t.values.shape[1] == 3:
+            if e.kind == 'orientation' and _may_be_angles(t):
                 return [(e, _as_orientation(t))]
             if e.kind == t.kind and e.values.shape[1] == t.values.shape[1]:
                 return [(e, t)]

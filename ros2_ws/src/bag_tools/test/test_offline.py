@@ -181,6 +181,10 @@ def test_parameters_of_the_node_base_mean_nothing_offline():
     assert estimator_parameters(parse(ros), 'mix') == {'leak': 0.5}
 
 
+def test_ros_flags_work_without_the_ros_args_marker():
+    assert split(['a', '-r', 'b:=c', '-p', 'd:=1']) == (['a'], ['-r', 'b:=c', '-p', 'd:=1'])
+
+
 def test_a_renamed_node_reads_its_own_section(tmp_path):
     path = tmp_path / 'p.yaml'
     path.write_text('mix: {ros__parameters: {leak: 0.1}}\nport: {ros__parameters: {leak: 0.9}}\n')

@@ -88,6 +88,20 @@ def test_heading_and_inclination_are_told_apart():
     assert tilt['heading'] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_only_a_vector_that_may_be_angles_is_taken_for_roll_pitch_yaw():
+    stamps = stamps_at(10, 5)
+    truth = orientation(stamps, Rotation.from_euler('z', np.zeros((5, 1))))
+    for role, pairs in (
+        ('vector', 1),
+        ('angular_velocity', 0),
+        ('linear_velocity', 0),
+        ('magnetic_field', 0),
+    ):
+        vector = Series(role, 'vector', stamps, np.zeros((5, 3)), ('x', 'y', 'z'))
+        assert len(pair([vector], [truth])) == pairs
+        assert len(pair([truth], [vector])) == pairs
+
+
 def test_orientation_errors_are_degrees_whatever_the_quaternions_sign():
     stamps = stamps_at(10, 50)
     truth = Rotation.from_euler('z', np.linspace(0, 6, 50)[:, None])

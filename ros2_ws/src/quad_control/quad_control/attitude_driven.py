@@ -23,12 +23,19 @@ from kalman_core.rotation import matrix_from_quat, quat_from_rotvec, quat_multip
 from quad_control.params import GRAVITY
 
 N = 9
+# A specific force below this (m/s²) has no direction.
+_LEAST_FORCE = 1e-6
 
 
 @njit(cache=True, nogil=True)
 def tilt_quaternion(fx, fy, fz):
-    """Return the shortest rotation (4,) ``q_nb`` that turns the specific force upwards (heading near 0)."""
+    """Return the shortest rotation (4,) ``q_nb`` that turns the specific force upwards (heading near 0).
+
+    Without a force there is no direction: level.
+    """
     norm = math.sqrt(fx * fx + fy * fy + fz * fz)
+    if norm < _LEAST_FORCE:
+        return np.array([1.0, 0.0, 0.0, 0.0])
     w = 1.0 + fz / norm
     if w < 1e-9:  # upside down: any horizontal axis serves
         return np.array([0.0, 1.0, 0.0, 0.0])

@@ -174,6 +174,18 @@ def test_a_start_on_a_slope_has_its_tilt_at_once(roll):
     assert tilt_error(out[-1].quaternion, quat_from_euler(roll, 0.0, 0.0)) < 0.02
 
 
+@pytest.mark.parametrize('second', [(0.0, 0.0, -9.8), (1e-200, 0.0, 0.0)])
+def test_forces_without_a_direction_start_level(second):
+    f = AttitudeFilter()
+    first, *rest = still(3)
+    run(f, [first._replace(force=(0.0, 0.0, 9.8))])
+    out = run(f, [rest[0]._replace(force=second)])
+    assert all(map(math.isfinite, out[0].quaternion))
+    # The same after a long gap, when there is one sample only.
+    out = run(f, [rest[1]._replace(stamp=START + 10**10, force=second)])
+    assert all(map(math.isfinite, out[0].quaternion))
+
+
 def test_a_still_window_as_short_as_a_step_leaves_the_start_alone():
     f = AttitudeFilter(AttitudeParams(calibration_time=0.1, period=0.1))
     slow = [s._replace(stamp=START + 20 * i * STEP) for i, s in enumerate(still(5, roll=0.4))]

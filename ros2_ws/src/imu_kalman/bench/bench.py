@@ -23,6 +23,7 @@ def measure(options: Options) -> Iterable[Row]:
         yield from imu_synthetic.two_state_rows(options)
         yield from imu_synthetic.ship_rows(options)
         yield from imu_synthetic.honesty_rows(options)
+        yield from imu_synthetic.fault_rows(options)
         yield from imu_recorded.recorded_rows(options)
     if options.live:
         yield from lockstep_rows(options)

@@ -24,6 +24,10 @@ from imu_kalman.attitude_batch import filter_batch
 from imu_kalman.params import AttitudeParams
 from imu_kalman.smoother import smooth
 
+# Delays (s) that the leave-one-out fit may choose from: from none to twice the default and more.
+_SENSOR_DELAYS = (0.0, 1.2e-3, 2.4e-3, 3.6e-3, 4.8e-3)
+_MAG_DELAYS = (0.0, 3.5e-3, 7e-3, 10.5e-3, 14e-3)
+
 
 class Trial(NamedTuple):
     """One recording: arrays at `rate` (Hz), field in tesla; `scored` marks what counts."""
@@ -86,6 +90,7 @@ def recorded_rows(options: Options) -> Iterable[Row]:
     smoothed = [smooth(*t[1:5]).orientation for t in found]
     yield from _accuracy('causal', found, ours, causal, 'VQF')
     yield from _accuracy('smoothed', found, smoothed, acausal, 'offlineVQF')
+    yield from _left_out(found, causal['VQF'])
     yield from _variants(found, causal['VQF'])
     yield from _speed(found[0])
 
@@ -104,6 +109,45 @@ def _accuracy(kind, found, ours, peers, rival) -> Iterable[Row]:
             'deg',
             reference[rival],
             reference=reference,
+        )
+
+
+def _left_out(found, vqf) -> Iterable[Row]:
+    """Fit both delays on all trials but one and score that one: what the defaults owe to these trials."""
+    grid = [
+        dataclasses.replace(AttitudeParams(), sensor_delay=sensor, mag_delay=mag)
+        for sensor in _SENSOR_DELAYS
+        for mag in _MAG_DELAYS
+    ]
+    scores = np.array(
+        [
+            [t.score(filter_batch(*t[1:5], params=p, covariance=False).orientation) for t in found]
+            for p in grid
+        ]
+    )
+    total = scores[:, :, 0]
+    chosen = [int(np.argmin(total.sum(axis=1) - total[:, k])) for k in range(len(found))]
+    value = np.mean([scores[best, k] for k, best in enumerate(chosen)], axis=0)
+    rival = np.mean([t.score(q) for t, q in zip(found, vqf)], axis=0)
+    for i, part in enumerate(PARTS):
+        yield Row(
+            'imu_kalman',
+            f'recorded trials, delays fitted on the other trials, causal: mean {part} error',
+            float(value[i]),
+            'deg',
+            float(rival[i]),
+            reference={'VQF': float(rival[i])},
+        )
+    for name, delays in (
+        ('sensor_delay', [grid[best].sensor_delay for best in chosen]),
+        ('mag_delay', [grid[best].mag_delay for best in chosen]),
+    ):
+        yield Row(
+            'imu_kalman',
+            f'recorded trials, {name} fitted on the other trials: mean',
+            1e3 * float(np.mean(delays)),
+            'ms',
+            reference={'least': 1e3 * min(delays), 'largest': 1e3 * max(delays)},
         )
 
 

@@ -19,6 +19,7 @@ from imu_kalman.attitude import AttitudeFilter
 from imu_kalman.attitude_batch import filter_batch
 from imu_kalman.params import AttitudeParams, TwoStateParams
 from imu_kalman.samples import ImuSample, MagSample
+from imu_kalman.scenario_faults import FAULTS, MOTIONS, faulty, follow
 from imu_kalman.scenario_matched import matched_params, matched_world
 from imu_kalman.scenarios import ShipParams, rolling_ship
 from imu_kalman.smoother import smooth
@@ -209,6 +210,34 @@ def honesty_rows(options: Options) -> Iterable[Row]:
         reference={'exact': 1.0},
         seeds=len(nees),
     )
+
+
+def fault_rows(options: Options) -> Iterable[Row]:
+    """Yield honesty and recovery over random sequences of faults in four motions at three rates."""
+    runs = options.seeds or (6 if options.quick else 100)
+    nees, tilt, heading = [], [], []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        time, sequence = rng.uniform(5.0, 9.0), []
+        for kind in rng.choice(FAULTS, rng.integers(1, 7)):
+            length = rng.uniform(0.01, 0.8)
+            sequence.append((str(kind), time, length))
+            time += length + rng.uniform(0.0, 3.0)
+        recording = faulty(
+            str(rng.choice(MOTIONS)), seed, sequence, time + 3.0, float(rng.choice([50, 100, 200]))
+        )
+        outcome = follow(recording, AttitudeFilter())
+        mended = outcome.time > time + 2.0
+        nees.append(outcome.nees.mean())
+        tilt.append(outcome.tilt[mended].max())
+        heading.append(outcome.heading[mended].max())
+    for name, value, unit, bar in (
+        ('NEES per degree of freedom, mean of runs', np.mean(nees), '1', 1.0),
+        ('NEES per degree of freedom, worst run', np.max(nees), '1', 4.0),
+        ('largest tilt error after 2 s of clean data, worst run', np.max(tilt), 'deg', 10.0),
+        ('largest heading error after 2 s of clean data, worst run', np.max(heading), 'deg', 25.0),
+    ):
+        yield Row(PACKAGE, f'random faults: {name}', float(value), unit, bar, seeds=runs)
 
 
 def _band(name: str, value: float, freedom: int, seeds: int) -> Iterable[Row]:

@@ -24,6 +24,7 @@ _REFUSED = {
 _RESTARTS = {
     layout.RESTARTED: 'attitude from one sample after a gap',
     layout.REALIGNING: 'attitude contradicted gravity',
+    layout.LOST: 'roll and pitch lost while the rate was not measured',
 }
 _SCRATCH = (layout.WORK, layout.N, layout.N)
 

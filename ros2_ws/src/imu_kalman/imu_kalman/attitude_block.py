@@ -5,16 +5,19 @@ import math
 
 from numba import njit
 
-from imu_kalman.attitude_field import forget_heading, magnetic_update, turn_field
+from imu_kalman.attitude_faults import follow_readings
+from imu_kalman.attitude_field import forget_angle, magnetic_update, turn_field
 from imu_kalman.attitude_layout import (
     ACC_SUM,
     ALIGNED,
     BIAS,
+    BLIND,
     BROKEN,
     CORRECTION,
     COUNT,
     COV,
     DAMPING,
+    DEAF,
     FAILED,
     FORCE_N,
     GRAVITY,
@@ -26,6 +29,7 @@ from imu_kalman.attitude_layout import (
     LEVEL_SPAN,
     LINK,
     LINKED,
+    LOST,
     MAG_COUNT,
     MAG_WAIT,
     MOTION_ACC,
@@ -39,7 +43,9 @@ from imu_kalman.attitude_layout import (
     PHI,
     POS,
     PRIOR,
+    PUSHED,
     REALIGNING,
+    REPEATS,
     REST_ACC,
     REST_FORCE,
     REST_GYR,
@@ -52,6 +58,8 @@ from imu_kalman.attitude_layout import (
     ROW,
     SPAN,
     START_SPAN,
+    START_VEL_VAR,
+    STUCK,
     UNKNOWN_ANGLE_VAR,
     USE_MAG,
     VECTORS,
@@ -77,6 +85,8 @@ _FREQUENCY_MEMORY = 10.0
 _LEAST_VEL2 = 1e-9
 # At rest speed (m/s) and distance from the mean place (m) are below 0.05.
 _STILL_VAR = 0.05**2
+# With a variance of both tilt angles together beyond this (rad²) corrections are not linear any more.
+_LOST_TILT = 0.5
 # At rest a tilt error (rad) beyond this and beyond 5 sigma is no accelerometer bias (0.5 m/s²).
 _REST_TILT = 0.05
 # At rest force shows tilt to the accelerometer's bias: so much (rad) is wrong however unsure the filter is.
@@ -87,6 +97,7 @@ _REST_TILT_SURE = 0.08
 def clear_sums(state):
     """Begin a new block."""
     state[SPAN : MAG_COUNT + 1] = 0.0
+    state[STUCK : REPEATS + 4] = 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -226,10 +237,25 @@ def tilt_plausible(state, par, cov):
 
 
 @njit(cache=True, nogil=True)
+def realign(state):
+    """Begin the alignment with the next block; nothing of what was believed of tilt is carried over."""
+    state[ALIGNED] = -1.0
+    state[GRAVITY : GRAVITY + 3] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def hide_motion(par, cov):
+    """Add what speed and place may have changed by in a block without a measurement."""
+    for i in range(2):
+        cov[6 + i, 6 + i] += par[START_VEL_VAR]
+
+
+@njit(cache=True, nogil=True)
 def close_block(state, par, work):
     """Propagate the covariance over the block and apply its measurements.
 
-    Returns OK, REALIGNING (the attitude contradicts gravity; alignment begins) or FAILED (numerics).
+    Returns OK, REALIGNING (the attitude contradicts gravity), LOST (tilt is unknown; alignment begins with
+    either) or FAILED (numerics).
     """
     cov = state[COV:].reshape(N, N)
     code = OK
@@ -239,18 +265,30 @@ def close_block(state, par, work):
     work[VECTORS, CORRECTION] = 0.0
     before = work[VECTORS, LINK, 1:5]
     before[:] = state[Q : Q + 4]
-    rest_update(state, par, work, cov)
-    if state[ALIGNED] < par[START_SPAN]:
+    follow_readings(state)
+    if state[STUCK] > 0.0:
+        # Repeated or missing readings look like rest.
+        state[REST_TIME] = 0.0
+    else:
+        rest_update(state, par, work, cov)
+    if max(state[BLIND], state[DEAF]) > 0.5 * state[SPAN]:
+        hide_motion(par, cov)
+    elif state[PUSHED] > 0.0:
+        # The mean force of the block is doubted.
+        pass
+    elif state[ALIGNED] < par[START_SPAN]:
         align(state, par, work, cov)
+    elif cov[0, 0] + cov[1, 1] > _LOST_TILT:
+        realign(state)
+        code = LOST
     else:
         motion_update(state, par, work, cov)
         if not tilt_plausible(state, par, cov):
-            # Negative: nothing of what was believed before is carried over.
-            state[ALIGNED] = -1.0
-            state[GRAVITY : GRAVITY + 3] = 0.0
+            realign(state)
             code = REALIGNING
-    if cov[2, 2] > UNKNOWN_ANGLE_VAR:
-        forget_heading(cov)
+    for i in range(3):
+        if cov[i, i] > UNKNOWN_ANGLE_VAR:
+            forget_angle(cov, i)
     state[MAG_WAIT] += state[SPAN]
     if par[USE_MAG] != 0.0 and state[MAG_COUNT] > 0.0:
         magnetic_update(state, par, work, cov)

@@ -107,18 +107,18 @@ def magnetic_update(state, par, work, cov):
     state[MAG_NIS] = nis
     state[MAG_MEAN_NIS] += (nis - state[MAG_MEAN_NIS]) * min(1.0, span / _CONTRADICTION_MEMORY)
     if state[MAG_MEAN_NIS] > _CONTRADICTION:
-        forget_heading(cov)
+        forget_angle(cov, 2)
         state[MAG_MEAN_NIS] = 0.0
         state[MAG_STATUS] = MAG_RELEARNED
 
 
 @njit(cache=True, nogil=True)
-def forget_heading(cov):
-    """Make heading unknown and independent of all else; the next field sets it."""
+def forget_angle(cov, axis):
+    """Make the attitude about an axis unknown and independent of all else; a field then sets heading."""
     for i in range(N):
-        cov[2, i] = 0.0
-        cov[i, 2] = 0.0
-    cov[2, 2] = UNKNOWN_ANGLE_VAR
+        cov[axis, i] = 0.0
+        cov[i, axis] = 0.0
+    cov[axis, axis] = UNKNOWN_ANGLE_VAR
 
 
 @njit(cache=True, nogil=True)
@@ -128,7 +128,7 @@ def set_heading(state, cov, work, angle, variance):
     gain[:] = 0.0
     gain[2] = 1.0
     inject(state, work, angle)
-    forget_heading(cov)
+    forget_angle(cov, 2)
     cov[2, 2] = min(variance, UNKNOWN_ANGLE_VAR)
 
 

@@ -34,6 +34,16 @@ import math
 from numba import njit
 
 from imu_kalman.attitude_block import clear_sums, close_block
+from imu_kalman.attitude_faults import (
+    begin_checks,
+    bridge_gap,
+    end_jumps,
+    force_jump,
+    is_gap,
+    jump_limit,
+    rate_jump,
+    repeat_step,
+)
 from imu_kalman.attitude_layout import (
     ACC_SUM,
     ALIGNED,
@@ -44,13 +54,16 @@ from imu_kalman.attitude_layout import (
     COV,
     DELAY,
     DELAY_VAR,
+    DOUBT,
     FAILED,
     FORCE_N,
     GRAVITY,
     GYR_SUM,
     HEADING_VAR,
     HELD,
-    JUMPS,
+    J_COUNT,
+    J_STEP,
+    JUMP,
     LAST_ACC,
     LAST_DT,
     LAST_GYR,
@@ -63,12 +76,16 @@ from imu_kalman.attitude_layout import (
     MAX_GAP,
     MAX_JERK,
     MIN_FORCE,
+    MIN_JUMP,
+    MIN_PUSH,
     MOTION_ACC,
     MOTION_AGE,
     NANOSEC,
     OK,
+    PERIOD,
     PHASE,
     POS,
+    PUSH,
     RATE,
     RATE2,
     REST_TIME,
@@ -84,8 +101,6 @@ from imu_kalman.attitude_layout import (
 )
 from imu_kalman.attitude_linear import start_covariance
 
-# A fault that lasts longer than this many samples is believed: no check may lock the filter out.
-_MAX_JUMPS = 2
 # Change of rate times gap (rad) beyond which the attitude after the gap is unknown, not merely uncertain.
 _LOST_TURN = 0.5
 # Up to this square of half the angle of a step (rad²) the series below are exact to the last bit.
@@ -104,6 +119,7 @@ def start(state, par, ax, ay, az, keep_bias):
     cov = state[COV:].reshape(N, N)
     if not keep_bias:
         state[:] = 0.0
+        begin_checks(state)
         for i in range(3, 6):
             cov[i, i] = par[BIAS_VAR]
     half_roll = 0.5 * math.atan2(ay, az)
@@ -121,26 +137,15 @@ def start(state, par, ax, ay, az, keep_bias):
     state[REST_TIME] = 0.0
     state[MOTION_ACC : MOTION_AGE + 1] = 0.0
     clear_sums(state)
+    end_jumps(state)
     start_covariance(state, par, cov)
     state[PHASE] = 1.0
 
 
 @njit(cache=True, nogil=True)
-def wild(state, par, dt, gx, gy, gz, ax, ay, az):
-    """Whether the sample lies further from the last one than any motion could bring it in `dt` (s)."""
-    limit = par[MAX_ANGULAR_ACC] * dt
-    if (
-        abs(gx - state[LAST_GYR]) > limit
-        or abs(gy - state[LAST_GYR + 1]) > limit
-        or abs(gz - state[LAST_GYR + 2]) > limit
-    ):
-        return True
-    limit = par[MAX_JERK] * dt
-    return (
-        abs(ax - state[LAST_ACC]) > limit
-        or abs(ay - state[LAST_ACC + 1]) > limit
-        or abs(az - state[LAST_ACC + 2]) > limit
-    )
+def largest_change(state, at, x, y, z):
+    """Return the largest change of an axis against the last sample taken, which lies at `at`."""
+    return max(abs(x - state[at]), max(abs(y - state[at + 1]), abs(z - state[at + 2])))
 
 
 @njit(cache=True, nogil=True)
@@ -239,30 +244,54 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
     """
     dt = elapsed(state, sec, nanosec)
     code = OK
+    rx, ry, rz = gx, gy, gz
     if state[PHASE] == 0.0 or dt > par[MAX_GAP] or lost(state, par, dt, gx, gy, gz):
         if ax * ax + ay * ay + az * az < par[MIN_FORCE] * par[MIN_FORCE]:
             return WAITING
         code = STARTED if state[PHASE] == 0.0 else RESTARTED
         start(state, par, ax, ay, az, code == RESTARTED)
         dt = 0.0
-    elif state[JUMPS] < _MAX_JUMPS and wild(state, par, dt, gx, gy, gz, ax, ay, az):
-        code = HELD
-        state[JUMPS] += 1.0
-        gx, gy, gz = state[LAST_GYR], state[LAST_GYR + 1], state[LAST_GYR + 2]
-        ax, ay, az = state[LAST_ACC], state[LAST_ACC + 1], state[LAST_ACC + 2]
-    if code != HELD:
-        state[JUMPS] = 0.0
-        state[LAST_GYR] = gx
-        state[LAST_GYR + 1] = gy
-        state[LAST_GYR + 2] = gz
-        state[LAST_ACC] = ax
-        state[LAST_ACC + 1] = ay
-        state[LAST_ACC + 2] = az
+    else:
+        gap = is_gap(state, dt)
+        if gap:
+            bridge_gap(state, par, dt, gx, gy, gz)
+            rx = 0.5 * (gx + state[LAST_GYR])
+            ry = 0.5 * (gy + state[LAST_GYR + 1])
+            rz = 0.5 * (gz + state[LAST_GYR + 2])
+        else:
+            change = largest_change(state, LAST_GYR, gx, gy, gz)
+            limit = jump_limit(state, JUMP, par[MIN_JUMP], par[MAX_ANGULAR_ACC], dt)
+            if change > limit or state[JUMP + J_COUNT] != 0.0:
+                if rate_jump(state, par, dt, limit, change, gx, gy, gz):
+                    code = HELD
+                    rx, ry, rz = state[LAST_GYR], state[LAST_GYR + 1], state[LAST_GYR + 2]
+                    gx, gy, gz = rx, ry, rz
+            else:
+                state[JUMP + J_STEP] = max(state[JUMP + J_STEP], change)
+                repeat_step(state, par, dt, gx, gy, gz, ax, ay, az)
+        change = largest_change(state, LAST_ACC, ax, ay, az)
+        limit = jump_limit(state, PUSH, par[MIN_PUSH], par[MAX_JERK], dt)
+        if change > limit or state[PUSH + J_COUNT] != 0.0:
+            if force_jump(state, dt, limit, change, ax, ay, az):
+                code = HELD
+                ax, ay, az = state[LAST_ACC], state[LAST_ACC + 1], state[LAST_ACC + 2]
+        elif not gap:
+            state[PUSH + J_STEP] = max(state[PUSH + J_STEP], change)
+    state[LAST_GYR] = gx
+    state[LAST_GYR + 1] = gy
+    state[LAST_GYR + 2] = gz
+    state[LAST_ACC] = ax
+    state[LAST_ACC + 1] = ay
+    state[LAST_ACC + 2] = az
     state[SEC] = sec
     state[NANOSEC] = nanosec
     state[LAST_DT] = dt
     if code in (OK, HELD):
-        strapdown(state, dt, gx, gy, gz, ax, ay, az)
+        before = state[VEL], state[VEL + 1], state[POS], state[POS + 1]
+        strapdown(state, dt, rx, ry, rz, ax, ay, az)
+        if dt > par[BLOCK]:
+            # One sample says nothing about the speed gained in a long gap.
+            state[VEL], state[VEL + 1], state[POS], state[POS + 1] = before
         if state[SPAN] >= par[BLOCK] - 0.5 * dt:
             closed = close_block(state, par, work)
             if closed != OK:
@@ -276,6 +305,9 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
 def magnetic_step(state, par, sec, nanosec, mx, my, mz):
     """Add one field sample (T) to the block, turned to local level by the attitude at its own time."""
     if state[PHASE] == 0.0:
+        return
+    if elapsed(state, sec, nanosec) > max(par[BLOCK], 2.0 * state[PERIOD]):
+        # The attitude at that time is not known.
         return
     # The field changed at its stamp less its delay, which the attitude is turned to with the last rate.
     dt = min(elapsed(state, sec, nanosec), par[BLOCK]) - par[MAG_DELAY]
@@ -317,6 +349,7 @@ def attitude_cov(state, par, i, j):
     """Return an entry (rad²) of the covariance of the carried attitude, lasting errors included."""
     value = state[COV + N * i + j]
     if i == j:
+        value += state[DOUBT]
         rate2 = state[RATE] ** 2 + state[RATE + 1] ** 2 + state[RATE + 2] ** 2
         value += rate2 * par[DELAY_VAR]
         if i == 2:

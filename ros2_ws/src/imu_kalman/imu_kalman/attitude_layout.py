@@ -42,11 +42,28 @@ MAG_LEVEL = 63  # mean square of the relative disturbance of the field
 GRAVITY = 64  # specific force in local level, integrated: over the alignment, then with a short memory (3)
 ALIGNED = 67  # s of alignment done
 LAST_GYR, LAST_ACC = 68, 71  # last samples taken, for the check on wild jumps (3 each)
-JUMPS = 74  # samples held in a row
 MAG_WAIT = 75  # s since the last block with a field
 MAG_MEAN_NIS = 76
 RESTS = 77  # blocks at rest since the start
-COV = 78
+# Faults of the sensor; see `attitude_faults`.
+STUCK, BLIND = 78, 79  # s of this block in which an axis, or all three, were not measured
+PUSHED, DEAF = 80, 81  # samples of this block whose specific force is doubted; s in which it was stuck
+# By axis of the gyro, and for the specific force as a whole (4 each):
+REPEATS = 82  # readings of this block that repeat the one before
+SHARE = 86  # share of repeated readings
+LONGEST = 90  # repetitions in a row that are no chance
+RUN, RUN_TIME = 94, 98  # repetitions so far, and s of them
+STUCK_COUNT, VARIED = 102, 103  # samples in a row with something stuck; samples that varied before them
+SPIN_LEVEL, TURN_LEVEL = 104, 105  # angular acceleration² and rate² of the last seconds
+LAST_MEAN = 106  # mean rate of the last block (3)
+PERIOD = 109  # s between samples
+DOUBT = 110  # rad², variance of the attitude that holds if a jump which is believed is a fault
+JUMP, PUSH = 111, 124  # jumps of the rate and of the specific force, each laid out as follows
+# Jumps of this fault, samples held, s since the last jump and since the first, variance added; value before
+# (3), integral of what lies beyond it (3); largest change from one sample to the next, of this block and of
+# the last seconds.
+J_COUNT, J_HELD, J_QUIET, J_AGE, J_ADDED, J_VALUE, J_BEYOND, J_STEP, J_LEVEL = 0, 1, 2, 3, 4, 5, 8, 11, 12
+COV = 137
 STATE = COV + N * N
 
 # Parameter vector.
@@ -87,8 +104,11 @@ STATE = COV + N * N
     START_SPAN,
     MAX_ANGULAR_ACC,
     MAX_JERK,
-) = range(36)
-PARAMS = 36
+    MIN_JUMP,
+    MIN_PUSH,
+    HIDDEN_ACC,
+) = range(39)
+PARAMS = 39
 # Scratch (WORK, N, N): transition, half product, vectors (row by row below), covariance before the updates.
 WORK = 4
 PHI, HALF, VECTORS, PRIOR = range(WORK)
@@ -97,7 +117,9 @@ PH, GAIN, ROW, CORRECTION, LINK = range(5)
 BROKEN, LINKED, RIGID = range(3)
 
 # Codes of `inertial_step`.
-OK, STARTED, RESTARTED, WAITING, FAILED, REALIGNING, HELD = range(7)
+OK, STARTED, RESTARTED, WAITING, FAILED, REALIGNING, HELD, LOST = range(8)
+# More repetitions than any run has.
+NEVER = 1e18
 # Values of state[MAG_STATUS]: what the last block with a field did.
 MAG_NONE, MAG_USED, MAG_DISTURBED, MAG_RELEARNED = range(4)
 
@@ -147,6 +169,9 @@ def pack(p: AttitudeParams) -> np.ndarray:
         START_SPAN: p.start_time,
         MAX_ANGULAR_ACC: p.max_angular_acceleration,
         MAX_JERK: p.max_jerk,
+        MIN_JUMP: p.min_jump,
+        MIN_PUSH: p.min_push,
+        HIDDEN_ACC: p.hidden_acceleration,
     }
     out = np.zeros(PARAMS)
     for index, value in values.items():

@@ -295,6 +295,30 @@ class AttitudeParams:
         maximum=1e9,
         live=True,
     )
+    min_jump: float = parameter(
+        100.0,
+        'a slower change of rate is never taken for a fault; a faster one is if the last seconds had none',
+        unit='rad/s^2',
+        minimum=0.0,
+        maximum=1e9,
+        live=True,
+    )
+    min_push: float = parameter(
+        1000.0,
+        'a slower change of specific force is never taken for a fault',
+        unit='m/s^3',
+        minimum=0.0,
+        maximum=1e9,
+        live=True,
+    )
+    hidden_acceleration: float = parameter(
+        1.0,
+        'least angular acceleration that is reckoned with while the rate is not measured',
+        unit='rad/s^2',
+        minimum=0.0,
+        maximum=1e3,
+        live=True,
+    )
     max_jerk: float = parameter(
         3e4,
         'a faster change of specific force is taken for a fault for up to two samples',

@@ -3,10 +3,12 @@
 
 import re
 
-from workspace_harness.graph import Graph, TopicEdge, Watch, seen_by
+import pytest
+from workspace_harness.graph import Graph, TopicEdge, Watch, replay_rates, seen_by, without_lockstep
 from workspace_harness.graph_svg import draw
 from workspace_harness.system import SYSTEMS
 
+from bag_tools.bag import BagWriter, zeroed
 from node_core.testing import Process, probe
 
 IMU, JOINT = 'sensor_msgs/msg/Imu', 'sensor_msgs/msg/JointState'
@@ -59,6 +61,24 @@ def test_boxes_do_not_overlap_and_lie_within_the_drawing():
         assert y + h <= height
         for u, v, other_w, other_h in placed[:i]:
             assert x + w <= u or u + other_w <= x or y + h <= v or v + other_h <= y
+
+
+def test_what_lockstep_adds_is_left_out_and_nothing_else():
+    edge = TopicEdge('/imu/data', IMU, ('filter',), ('player', 'recorder'))
+    graph = without_lockstep(Graph(('filter', 'player', 'recorder'), (*LOOP.topics, edge)))
+    assert graph.topics == (*LOOP.topics, TopicEdge('/imu/data', IMU, ('filter',), ('recorder',)))
+
+
+def test_rates_are_per_second_of_the_played_bag(tmp_path):
+    # Ten messages a second were played; the replay took a hundredth of the time.
+    message = zeroed('std_msgs/msg/String')
+    for name, step in (('played', 100_000_000), ('recorded', 1_000_000)):
+        with BagWriter(tmp_path / f'{name}.mcap') as writer:
+            writer.add(f'/{name}', 'std_msgs/msg/String')
+            for i in range(101):
+                writer.write(f'/{name}', 1 + i * step, message)
+    rates = replay_rates(tmp_path / 'played.mcap', tmp_path / 'recorded.mcap')
+    assert rates == {'/played': pytest.approx(10.1), '/recorded': pytest.approx(10.1)}
 
 
 def test_what_is_drawn_is_what_runs():

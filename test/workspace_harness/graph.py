@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -76,13 +76,21 @@ def _size(graph: Graph) -> tuple[int, int]:
     return len(graph.nodes), ends
 
 
-def rates_in(bags: Iterable[Path]) -> dict[str, float]:
-    """Return messages per second of bag time, by topic, of what was played and recorded."""
+def replay_rates(played: Path, recorded: Path) -> dict[str, float]:
+    """Return messages per second of the played bag's time, by topic: a replay runs at a pace of its own."""
     rates = {}
-    for bag in bags:
-        with BagReader(bag) as reader:
-            seconds = (reader.stop - reader.start) * 1e-9
-            for topic in reader.topics.values():
-                if topic.count > 1 and seconds > 0.0:
-                    rates[topic.name] = (topic.count - 1) / seconds
+    with BagReader(played) as source, BagReader(recorded) as sink:
+        seconds = (source.stop - source.start) * 1e-9
+        for topic in (*source.topics.values(), *sink.topics.values()):
+            if topic.count and seconds > 0.0:
+                rates[topic.name] = topic.count / seconds
     return rates
+
+
+def without_lockstep(graph: Graph) -> Graph:
+    """Return the graph without what lock-step adds: the player listens to all that its messages cause."""
+    topics = (
+        replace(t, subscribers=tuple(n for n in t.subscribers if n != 'player' or t.publishers == (n,)))
+        for t in graph.topics
+    )
+    return replace(graph, topics=tuple(topics))

@@ -88,7 +88,7 @@ def graph_html(graph: Graph, system: str) -> str:
     return (
         f'<h3>The graph as it ran</h3>{draw(graph, f"{system}: nodes and topics")}'
         '<p class="note">Read from the running graph; rates are messages per second of bag time. Left out: '
-        '/diagnostics, /rosout, /parameter_events and the acknowledgements of lock-step.</p>'
+        '/diagnostics, /rosout, /parameter_events and what only lock-step adds.</p>'
     )
 
 

@@ -19,7 +19,7 @@ from bag_tools.offline import OfflineResult
 from bag_tools.score import Comparison, Subject, read_window, score
 from node_core.testing import probe
 from workspace_harness.domain import own_domain
-from workspace_harness.graph import Graph, Watch, rates_in
+from workspace_harness.graph import Graph, Watch, replay_rates, without_lockstep
 from workspace_harness.make_bags import root
 from workspace_harness.replay import ReplayError, cut, differences, live, offline_all
 from workspace_harness.report import write
@@ -59,7 +59,7 @@ def replay(job: Job, folder: Path) -> tuple[list[Result], Graph]:
     with probe('watch') as eye:
         watch = Watch(eye)
         live(heard, estimators, live_bag, progress=sys.stderr.isatty(), watch=watch)
-    graph = watch.graph.with_rates(rates_in([heard, live_bag]))
+    graph = without_lockstep(watch.graph).with_rates(replay_rates(heard, live_bag))
     seconds = time.monotonic() - started
     offline = offline_all(heard, estimators, folder)
     found = {e.space: differences(live_bag, folder, [e]) for e in estimators}

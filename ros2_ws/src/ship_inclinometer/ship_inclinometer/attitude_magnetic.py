@@ -14,6 +14,7 @@ from ship_inclinometer.attitude_layout import (
     C_MAG_LOCKOUT,
     C_MAG_NOISE,
     C_NORM_GATE,
+    C_SWING,
     DEV,
     GATED,
     HEADING,
@@ -47,7 +48,7 @@ from ship_inclinometer.attitude_layout import (
     N,
     V,
 )
-from ship_inclinometer.attitude_update import innovation_variance, scalar_update
+from ship_inclinometer.attitude_update import heading_angle, innovation_variance, scalar_update
 
 
 @njit(cache=True, nogil=True)
@@ -67,6 +68,7 @@ def mag_step(state, c, t, field, gate):
         return MAG_DIP, 0.0
     north = 0.5 * math.pi - c[C_DECLINATION]
     innovation = wrap(north - math.atan2(m[1], m[0]))
+    innovation = wrap(innovation - _deviation(c, 0.5 * math.pi - heading_angle(state) - innovation))
     white = (c[C_MAG_NOISE] ** 2) / level2
     if state[S_PHASE] == PHASE_ALIGN or state[S_MAG] < 0.0:
         _set_heading(state, cov, c, innovation)
@@ -112,6 +114,14 @@ def mag_step(state, c, t, field, gate):
     state[S_MAG] = t
     scalar_update(state, cov, h, innovation, variance, HEADING, mat[2])
     return OK, nis
+
+
+@njit(cache=True, nogil=True)
+def _deviation(c, heading):
+    """Return what the ship swing found at a magnetic heading [rad, clockwise], see `calibration.swing`."""
+    once = c[C_SWING + 1] * math.sin(heading) + c[C_SWING + 2] * math.cos(heading)
+    twice = c[C_SWING + 3] * math.sin(2.0 * heading) + c[C_SWING + 4] * math.cos(2.0 * heading)
+    return c[C_SWING] + once + twice
 
 
 @njit(cache=True, nogil=True)

@@ -46,4 +46,5 @@ def settings(p: AttitudeParams) -> np.ndarray:
     c[k.C_MAG_LOCKOUT] = p.magnetic_lockout
     c[k.C_LEVER : k.C_LEVER + 3] = p.imu_lever_arm
     c[k.C_ANTENNA : k.C_ANTENNA + 3] = p.antenna_lever_arm
+    c[k.C_SWING : k.C_SWING + 5] = np.radians(p.deviation_coefficients)
     return c

@@ -55,7 +55,21 @@ class NmeaParams:
     baudrate: int = parameter(38400, 'baud rate', unit='Bd', minimum=1200, maximum=115200)
     true_heading: bool = parameter(True, 'the heading is true (declination is set): HDT and THS are sent')
 
+    manufacturer: str = parameter(
+        '', 'mnemonic code registered with NMEA: alerts are sent as ALF and ALC; empty: none'
+    )
+    command_host: str = parameter('127.0.0.1', 'address to take alert commands (ACN) on')
+    command_port: int = parameter(0, 'UDP port to take them on, 0: none', minimum=0, maximum=65535)
+
     def __post_init__(self) -> None:
+        if not re.fullmatch('([A-Z]{3})?', self.manufacturer):
+            raise ParameterError(
+                f"parameter 'manufacturer' is {self.manufacturer!r}, allowed: three capitals or none"
+            )
+        if self.command_port and not self.manufacturer:
+            raise ParameterError(
+                "parameter 'command_port' needs 'manufacturer': without it no alerts are sent"
+            )
         if not re.fullmatch('[A-Z][A-Z]|U[0-9]', self.talker):
             raise ParameterError(
                 f"parameter 'talker' is {self.talker!r}, allowed: two capitals like II, or U0 … U9"

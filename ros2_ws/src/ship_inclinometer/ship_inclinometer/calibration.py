@@ -10,6 +10,7 @@ of the sphere and says what is missing.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,11 +80,14 @@ def fit_ellipsoid(raw: np.ndarray, norm: float | None = None) -> Calibration:
     lengths = np.linalg.norm(unit, axis=1)
     share, missing = coverage(unit / lengths[:, None])
     if missing or share < _NEEDED:
-        sides = f'; no data towards {", ".join(missing)}' if missing else ''
-        raise CalibrationError(
-            f'only {100 * share:.0f} % of the sphere is covered, expected {100 * _NEEDED:.0f} %{sides}: '
-            'turn the sensor through all sides'
-        )
+        faults = []
+        if share < _NEEDED:
+            faults.append(
+                f'only {100 * share:.0f} % of the sphere is covered, expected {100 * _NEEDED:.0f} %'
+            )
+        if missing:
+            faults.append(f'hardly any data towards {", ".join(missing)}')
+        raise CalibrationError('; '.join(faults) + ': turn the sensor through all sides')
     # By the median: a spike is no reason to refuse.
     spread = 1.4826 * float(np.median(np.abs(lengths / np.median(lengths) - 1.0)))
     if spread > _LARGEST_SPREAD:
@@ -186,19 +190,12 @@ def swing(headings: np.ndarray, deviations: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(design, np.asarray(deviations, dtype=np.float64), rcond=None)[0]
 
 
-def to_yaml(name: str, calibration: Calibration) -> str:
-    """Return a calibration as parameters for a YAML file, `name` before each."""
-    matrix = ', '.join(f'{float(v)!r}' for v in calibration.matrix.ravel())
-    offset = ', '.join(f'{float(v)!r}' for v in calibration.offset)
-    return f'    {name}_matrix: [{matrix}]\n    {name}_offset: [{offset}]\n'
-
-
-def write_yaml(path: Path, node: str, sections: dict[str, Calibration], bias: np.ndarray | None) -> None:
-    """Write a ROS parameter file that the estimator loads; whole or not at all."""
+def write_yaml(path: Path, node: str, values: Mapping[str, list[float]]) -> None:
+    """Write parameters of `node` as a ROS parameter file that the estimator loads; whole or not at all."""
     lines = [f'{node}:\n  ros__parameters:\n']
-    lines += [to_yaml(name, calibration) for name, calibration in sections.items()]
-    if bias is not None:
-        lines.append(f'    gyro_offset: [{", ".join(repr(float(b)) for b in bias)}]\n')
+    lines += [
+        f'    {name}: [{", ".join(repr(float(v)) for v in numbers)}]\n' for name, numbers in values.items()
+    ]
     partial = path.with_name(f'.{path.name}.part')
     partial.write_text(''.join(lines), encoding='utf-8')
     partial.replace(path)

@@ -97,6 +97,13 @@ class AttitudeParams:
     deviation_angle: float = parameter(
         60.0, 'heading change over which the deviation is forgotten', unit='°', minimum=5.0, maximum=360.0
     )
+    deviation_coefficients: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0, 0.0, 0.0),
+        'calibration: A, B, C, D, E of the ship swing, added to the magnetic heading',
+        unit='°',
+        minimum=-45.0,
+        maximum=45.0,
+    )
     declination: float = parameter(
         0.0, 'magnetic declination, east positive', unit='°', minimum=-180.0, maximum=180.0
     )

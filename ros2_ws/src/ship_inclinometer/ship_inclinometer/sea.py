@@ -118,6 +118,19 @@ def sine_motion(params: SimulatorParams, t: np.ndarray, rng: np.random.Generator
     return Motion(angles, rates, accelerations, velocity, acceleration, zeros, zeros)
 
 
+def tumble_motion(t: np.ndarray) -> Motion:
+    """Return a sensor that is turned slowly by hand through all sides, at one place."""
+    turning, nodding, walking = math.radians(20.0), 2.0 * math.pi / 97.0, math.radians(7.0)
+    largest = math.radians(75.0)  # not 90°, where roll and yaw cannot be told apart
+    zeros = np.zeros(len(t))
+    angles = np.column_stack([turning * t, largest * np.sin(nodding * t), walking * t])
+    nod = largest * nodding * np.cos(nodding * t)
+    rates = np.column_stack([np.full(len(t), turning), nod, np.full(len(t), walking)])
+    accelerations = np.column_stack([zeros, -largest * nodding**2 * np.sin(nodding * t), zeros])
+    still = np.zeros((len(t), 3))
+    return Motion(angles, rates, accelerations, still, still, zeros, zeros)
+
+
 def manoeuvre(params: SimulatorParams, t: np.ndarray, motion: Motion) -> Motion:
     """Add course, speed and turns: the wave motion keeps its direction relative to the hull."""
     rate = np.zeros(len(t))

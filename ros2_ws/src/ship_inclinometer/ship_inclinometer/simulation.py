@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_inclinometer.sea import Motion, manoeuvre, sea_motion, sine_motion
+from ship_inclinometer.sea import Motion, manoeuvre, sea_motion, sine_motion, tumble_motion
 from ship_inclinometer.simulation_params import SCENARIOS, SimulatorParams, scenario
 
 __all__ = ['SCENARIOS', 'Recording', 'SimulatorParams', 'Truth', 'scenario', 'simulate']
@@ -71,7 +71,10 @@ def simulate(params: SimulatorParams, seed: int = 0) -> Recording:
     rng = np.random.default_rng(seed)
     samples = round(params.duration * params.rate)
     t = np.arange(samples) / params.rate
-    motion = sine_motion(params, t, rng) if params.sea == 'sine' else sea_motion(params, t, rng)
+    if params.sea == 'tumble':
+        motion = tumble_motion(t)
+    else:
+        motion = sine_motion(params, t, rng) if params.sea == 'sine' else sea_motion(params, t, rng)
     motion = manoeuvre(params, t, motion)
 
     lever = np.array([params.imu_forward, -params.imu_starboard, -params.imu_down])

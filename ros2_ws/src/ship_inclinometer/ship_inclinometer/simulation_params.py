@@ -12,7 +12,11 @@ from kalman_core.parameters import ParameterError, parameter
 class SimulatorParams:
     """Sea, ship, sensors. Defaults: irregular beam sea, straight course, no GNSS."""
 
-    sea: str = parameter('jonswap', 'kind of sea', choices=('jonswap', 'pierson_moskowitz', 'sine'))
+    sea: str = parameter(
+        'jonswap',
+        'kind of sea; tumble: the sensor turned by hand through all sides',
+        choices=('jonswap', 'pierson_moskowitz', 'sine', 'tumble'),
+    )
     duration: float = parameter(720.0, 'length of a simulated run', unit='s', minimum=1.0, maximum=86400.0)
     rate: float = parameter(200.0, 'IMU rate', unit='Hz', minimum=10.0, maximum=1000.0)
     significant_height: float = parameter(2.5, 'significant wave height', unit='m', minimum=0.0, maximum=20.0)
@@ -132,6 +136,19 @@ SCENARIOS: dict[str, SimulatorParams] = {
     'paper': replace(_SINE, angle_noise=1.5),
     'hot_start': replace(_BEAM, gyro_bias=5.0, duration=180.0),
     'disturbed': replace(_BEAM, disturbance=150.0),
+    'calibration': replace(
+        _BEAM,
+        sea='tumble',
+        duration=240.0,
+        speed=0.0,
+        imu_forward=0.0,
+        imu_starboard=0.0,
+        imu_down=0.0,
+        engine_frequencies=(0.0, 0.0),
+        soft_iron=0.05,
+        hard_iron=150.0,
+        accelerometer_bias=20.0,
+    ),
 }
 
 

@@ -31,11 +31,15 @@ def finite(value: Any) -> Any:
 
 
 def application(
-    snapshot: Callable[[], dict[str, Any]], command: Callable[[str, str], None], token: str
+    snapshot: Callable[[], dict[str, Any]],
+    command: Callable[[str, str], None],
+    token: str,
+    history: Callable[[], list[tuple[float, float]]] = list,
 ) -> web.Application:
     """Return the application: GET / the page, GET /ws states, POST /command with the token.
 
-    `snapshot` returns the present state, `command(name, who)` carries out a command.
+    `snapshot` returns the present state, `command(name, who)` carries out a command, `history` returns the
+    trend so far as (time in s, heel in degrees): a page that is opened shows the last minutes at once.
     """
 
     async def page(_request: web.Request) -> web.StreamResponse:
@@ -50,7 +54,7 @@ def application(
         )
 
     async def state(_request: web.Request) -> web.StreamResponse:
-        return web.json_response(finite(snapshot()))
+        return web.json_response(finite({'history': history(), **snapshot()}))
 
     async def stream(request: web.Request) -> web.StreamResponse:
         socket = web.WebSocketResponse(heartbeat=10.0)

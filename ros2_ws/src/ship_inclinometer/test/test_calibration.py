@@ -88,7 +88,12 @@ def test_a_swing_gives_back_its_coefficients_and_names_the_gap():
 def test_the_estimator_loads_what_is_written(tmp_path):
     calibration = fit_ellipsoid(sphere()[1], 48e-6)
     path = tmp_path / 'calibration.yaml'
-    write_yaml(path, 'attitude_estimator', {'magnetometer': calibration}, np.array([0.01, 0.0, -0.02]))
+    fitted = {
+        'magnetometer_matrix': calibration.matrix.ravel().tolist(),
+        'magnetometer_offset': calibration.offset.tolist(),
+        'gyro_offset': [0.01, 0.0, -0.02],
+    }
+    write_yaml(path, 'attitude_estimator', fitted)
     values = yaml.safe_load(path.read_text())['attitude_estimator']['ros__parameters']
     params = build(AttitudeParams, values)
     np.testing.assert_allclose(np.reshape(params.magnetometer_matrix, (3, 3)), calibration.matrix)

@@ -49,6 +49,23 @@ async def served(state, token='secret'):
         await runner.cleanup()
 
 
+def test_a_page_that_is_opened_gets_the_trend_so_far():
+    async def scene():
+        app = application(lambda: STATE, lambda _name, _who: None, '', lambda: [(1.0, 2.5), (2.0, math.nan)])
+        runner = web.AppRunner(app)
+        await runner.setup()
+        site = web.TCPSite(runner, '127.0.0.1', 0)
+        await site.start()
+        port = site._server.sockets[0].getsockname()[1]
+        try:
+            async with ClientSession() as session, session.get(f'http://127.0.0.1:{port}/state') as reply:
+                return await reply.json()
+        finally:
+            await runner.cleanup()
+
+    assert asyncio.run(scene())['history'] == [[1.0, 2.5], [2.0, None]]
+
+
 async def post(url, body, token=None):
     headers = {'X-Token': token} if token is not None else {}
     async with (

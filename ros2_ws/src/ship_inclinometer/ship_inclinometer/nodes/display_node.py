@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 import time
+from collections import deque
 from typing import Any
 
 from aiohttp import web
@@ -14,7 +16,11 @@ from kalman_core.parameters import ParameterError
 from ship_inclinometer import topics
 from ship_inclinometer.bridge_params import DisplayParams
 from ship_inclinometer.nodes.bridge_node import BridgeNode, open_log
+from ship_inclinometer.samples import INVALID
 from ship_inclinometer.web import application
+
+# Length and step (s) of the trend that a page gets when it is opened.
+_TREND, _TREND_STEP = 300.0, 0.25
 
 
 class DisplayNode(BridgeNode):
@@ -27,6 +33,8 @@ class DisplayNode(BridgeNode):
         self._publisher, self._message = self.publish_to('std_msgs/msg/String', topics.COMMAND)
         self._watch()
         self._watch_settings()
+        self._trend: deque[tuple[float, float]] = deque(maxlen=round(_TREND / _TREND_STEP))
+        self.create_timer(_TREND_STEP, self._remember)
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         try:
@@ -36,7 +44,7 @@ class DisplayNode(BridgeNode):
         self.get_logger().info(f'http://{self._params.host}:{self._params.port}/')
 
     async def _start(self) -> web.AppRunner:
-        app = application(self.snapshot, self._command, self._params.token)
+        app = application(self.snapshot, self._command, self._params.token, lambda: list(self._trend))
         runner = web.AppRunner(app, access_log=None)
         await runner.setup()
         await web.TCPSite(runner, self._params.host, self._params.port).start()
@@ -48,6 +56,13 @@ class DisplayNode(BridgeNode):
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._log.close()
         super().destroy_node()
+
+    def _remember(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        known = self._picture.shown_validity(now)[0] != INVALID
+        if self._trend and now * 1e-9 < self._trend[-1][0]:
+            self._trend.clear()
+        self._trend.append((now * 1e-9, self._picture.shown_roll if known else math.nan))
 
     def snapshot(self) -> dict[str, Any]:
         """Return what the page shows now."""

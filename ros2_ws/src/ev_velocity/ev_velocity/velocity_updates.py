@@ -236,7 +236,8 @@ def gps_step(m, constants, speed, variance, t, rows):
         _reopen_scale(m, constants)
         # Beside a wheel the acceleration cannot have been wrong by more, or the wheel would not have vouched.
         time = max(time, (m[TIME] - m[GPS_REFUSED_SINCE]) * NS) if m[GPS_REFUSED_SINCE] >= 0.0 else time
-    forget(m, TG, constants[GPS_DELAY_VARIANCE])
+    if not agree:
+        forget(m, TG, constants[GPS_DELAY_VARIANCE])
     _reopen_speed(m, residual, time)
     correct(m, rows, variance, NO_GATE, False, 0.0)
     m[GPS_REFUSED_SINCE] = -1.0

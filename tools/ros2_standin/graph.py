@@ -108,11 +108,22 @@ def call(node: Node, cls, name: str, request, timeout: float = 5.0):
     return future.result()
 
 
+def _wait_for(node: Node, name: str) -> None:
+    """Wait until somebody offers the service, as `ros2 service call` does."""
+    told = False
+    while rclpy.ok() and name not in dict(node.get_service_names_and_types()):
+        if not told:
+            print('waiting for service to become available...', flush=True)
+            told = True
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
 def service_call(node: Node, arguments) -> int:
     """Call a service and print its response."""
     cls = message_class(arguments.type)
     request = cls.Request()
     set_fields(request, yaml.safe_load(arguments.values) or {})
+    _wait_for(node, node.resolve_service_name(arguments.service))
     print(f'requester: making request: {request!r}\n')
     response = call(node, cls, arguments.service, request)
     if response is None:

@@ -209,7 +209,7 @@ def _summary(result: OfflineResult, stop: float) -> str:
 
 def run(argv: list[str]) -> int:
     """Run one estimator as the command line says."""
-    own, ros = rosargs.split(argv)
+    own, ros = rosargs.split(argv, implied=True)
     options = _parser().parse_args(own)
     arguments = rosargs.parse(ros)
     ports = find_ports(options.package, options.estimator)

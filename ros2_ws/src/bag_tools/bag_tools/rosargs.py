@@ -29,15 +29,16 @@ class RosArguments:
     node: str = ''
 
 
-def split(argv: list[str]) -> tuple[list[str], list[str]]:
+def split(argv: list[str], *, implied: bool = False) -> tuple[list[str], list[str]]:
     """Return (own arguments, ROS arguments); the latter lie between ``--ros-args`` and ``--``.
 
-    As on the nodes, ``--ros-args`` may be left out: the first ROS flag then begins them.
+    With `implied`, for tools that have no such flags of their own, ``--ros-args`` may be left out as on the
+    nodes: the first ROS flag then begins them.
     """
     own: list[str] = []
     ros: list[str] = []
     inside = False
-    argv = ros_arguments(argv)
+    argv = ros_arguments(argv) if implied else argv
     for argument in argv:
         if argument == '--ros-args':
             inside = True

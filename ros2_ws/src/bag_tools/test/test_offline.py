@@ -182,7 +182,9 @@ def test_parameters_of_the_node_base_mean_nothing_offline():
 
 
 def test_ros_flags_work_without_the_ros_args_marker():
-    assert split(['a', '-r', 'b:=c', '-p', 'd:=1']) == (['a'], ['-r', 'b:=c', '-p', 'd:=1'])
+    given = ['a', '-r', 'b:=c', '-p', 'd:=1']
+    assert split(given, implied=True) == (['a'], given[1:])
+    assert split(['bag', '--remap', 'b:=c']) == (['bag', '--remap', 'b:=c'], [])
 
 
 def test_a_renamed_node_reads_its_own_section(tmp_path):

@@ -97,11 +97,13 @@ def test_a_can_log_is_replayed_with_its_recorded_stamps(graph, tmp_path):
     with start('can_driver', interface='log', channel=path, **replay) as process:
         graph.until(lambda: not process.running, 'the end of the log')
         assert process.wait() == 0, process.output
-    assert len(wheels) == len(speeds) == 300
+    recorded = [round((START + 0.02 * i) * 1e6) * 1000 for i in range(300)]
+    for messages in (wheels, speeds):
+        # Two subscriptions may be found one after the other; from then on nothing is lost.
+        assert [stamp_of(m) for m in messages] == recorded[-len(messages) :] != []
     assert list(wheels[-1].name) == ['wheel_1', 'wheel_2', 'wheel_3', 'wheel_4']
     assert list(wheels[-1].velocity) == pytest.approx([5.0 / 0.285] * 4, rel=0.01)
     assert speeds[-1].twist.twist.linear.x == pytest.approx(5.0, abs=0.01)
-    assert [stamp_of(m) * 1e-9 for m in (speeds[0], speeds[-1])] == pytest.approx([START, START + 5.98])
 
 
 def test_a_bus_that_is_not_there_is_named(graph):

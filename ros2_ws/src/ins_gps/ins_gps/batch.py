@@ -50,13 +50,17 @@ def advance(
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """Solution after each GNSS epoch: stamps (k,), nav (k, NAV), covariance (k, 9, 9), biases (k, 6)."""
+    """Solution after each GNSS epoch: stamps (k,), nav (k, NAV), covariance (k, 9, 9), biases (k, 6).
+
+    fates: per epoch constellation and satellite (m, 2) beside the report (m, REPORT_WIDTH) of its rows.
+    """
 
     stamps: np.ndarray
     nav: np.ndarray
     covariance: np.ndarray
     biases: np.ndarray
     imu_nav: np.ndarray
+    fates: list[np.ndarray]
 
 
 def run_batch(
@@ -74,6 +78,7 @@ def run_batch(
     """
     imu_nav = np.full((len(stamps), NAV), np.nan)
     records = []
+    fates: list[np.ndarray] = []
     done, given = 0, 0
     ends = np.searchsorted(stamps, [epoch.stamp for epoch in epochs], side='right')
     for epoch, end in zip([*epochs, None], [*ends, len(stamps)], strict=True):
@@ -89,6 +94,7 @@ def run_batch(
         if navigation.running or navigation.coasting:
             state = navigation.state
             navigation.flush()
+            fates.append(np.hstack([navigation.rows[:, :2], navigation.report]))
             records.append(
                 (
                     epoch.stamp,
@@ -104,4 +110,5 @@ def run_batch(
         np.array(columns[2]).reshape(-1, 9, 9),
         np.array(columns[3]).reshape(-1, 6),
         imu_nav,
+        fates,
     )

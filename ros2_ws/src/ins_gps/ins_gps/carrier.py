@@ -39,6 +39,7 @@ from ins_gps.constants import (
     SPEED_OF_LIGHT,
 )
 from ins_gps.correction import ACCEPTED, EXCLUDED, UNUSED, joint_update
+from ins_gps.faults import clone_signatures, spread_signatures
 from ins_gps.layout import (
     ATT,
     C_NOISE,
@@ -145,6 +146,12 @@ def carrier_update(state, channels, config, rows, use, site, mat_en, lever_n, dt
         return
     summary[SUM_RATE_NIS], summary[SUM_RATE_USED] = nis, count
     # Of the new noise e (variance `white`): estimate white S⁻¹ν, covariance with the errors −white K^T.
+    noise = np.full(m, -1, np.int64)
+    for i in range(m):
+        if status[i] == ACCEPTED:
+            noise[i] = CHANNEL + PER_CHANNEL * use[i] + 2
+    nowhere = np.full(m, -1, np.int64)
+    spread_signatures(state, channels, H, nu, R, status, information, nowhere, noise, white)
     gain = np.zeros((n, m))
     for j in range(m):
         if status[j] != ACCEPTED:
@@ -237,12 +244,12 @@ def reclone(state, channels, config, rows, use, site, lever_n, report):
                 row[k, POS + 2] - lever_n[0] * row[k, ATT + 1] + lever_n[1] * row[k, ATT]
             )
             P[CLONE + k, CLONE_CLK] = row[k, CLK]
+        clone_signatures(state, channels, lever_n)
     _keep_phases(state, channels, config, rows, use, report)
 
 
 @njit(cache=True, nogil=True)
 def _keep_phases(state, channels, config, rows, use, report):
-    P = covariance_of(state, channels)
     present = np.zeros(channels, np.bool_)
     for i in range(len(rows)):
         if use[i] < 0:
@@ -257,7 +264,8 @@ def _keep_phases(state, channels, config, rows, use, report):
             state[at + C_SAT + k] = rows[i, 9 + k]
         if report[i, REPORT_RATE] != RATE_USED or config[RATES] != 2.0:
             state[at + C_NOISE] = 0.0
-            clear_error(P, CHANNEL + PER_CHANNEL * use[i] + 2, config[CLONES] * config[CARRIER_NOISE] ** 2)
+            index = CHANNEL + PER_CHANNEL * use[i] + 2
+            clear_error(state, channels, index, config[CLONES] * config[CARRIER_NOISE] ** 2)
     for i in range(channels):
         if not present[i]:
             state[HEAD + i * CHANNEL_WIDTH + C_PHASE] = 0.0

@@ -34,7 +34,7 @@ from ins_gps.layout import (
     SLOTS_PER_SYSTEM,
 )
 from ins_gps.orbit import range_and_rate
-from ins_gps.prediction import CONFIG_PREDICTION, covariance_of
+from ins_gps.prediction import CONFIG_PREDICTION, covariance_of, signatures_of
 from kalman_core.earth import ecef_from_geodetic
 
 # Configuration columns after those of `prediction`.
@@ -61,11 +61,12 @@ from kalman_core.earth import ecef_from_geodetic
     CN0_REFERENCE,  # dB-Hz
     PUBLISHED_RATE_NOISE,  # m/s, of the carrier difference taken as a rate
     CARRIER_INTERVAL,  # s, longest carrier difference
-) = range(CONFIG_PREDICTION, CONFIG_PREDICTION + 22)
-CONFIG_SIZE = CONFIG_PREDICTION + 22
+    FAULT_GATE,  # statistic of a drifting code
+) = range(CONFIG_PREDICTION, CONFIG_PREDICTION + 23)
+CONFIG_SIZE = CONFIG_PREDICTION + 23
 
 # What became of a row, reported per satellite.
-ROW_UNUSED, ROW_USED, ROW_CODE_REJECTED, ROW_LOW, ROW_NO_ORBIT = 0, 1, 2, 3, 4
+ROW_UNUSED, ROW_USED, ROW_CODE_REJECTED, ROW_LOW, ROW_NO_ORBIT, ROW_DRIFTS = 0, 1, 2, 3, 4, 5
 RATE_NONE, RATE_USED, RATE_SLIP, RATE_NEW, RATE_DOPPLER = 0, 1, 2, 3, 4
 # Columns of the per-row report and of the epoch's summary.
 REPORT_CODE, REPORT_RATE, REPORT_CODE_W, REPORT_RATE_W, REPORT_ELEVATION = 0, 1, 2, 3, 4
@@ -90,8 +91,10 @@ def wavelength(signal):
 
 
 @njit(cache=True, nogil=True)
-def clear_error(P, index, variance):
+def clear_error(state, channels, index, variance):
     """Make error `index` independent of all others, with this variance."""
+    P = covariance_of(state, channels)
+    signatures_of(state, channels)[:, index] = 0.0
     n = P.shape[0]
     for k in range(n):
         P[index, k] = 0.0
@@ -134,13 +137,12 @@ def channel_of(state, channels, config, key, corrected):
     for k in range(CHANNEL_WIDTH):
         state[at + k] = 0.0
     state[at + C_KEY] = key
-    P = covariance_of(state, channels)
     first = CHANNEL + PER_CHANNEL * free
     on = config[CLONES]
     slow = config[CODE_SLOW] if corrected else config[CODE_SLOW_ALONE]
-    clear_error(P, first, on * slow * slow)
-    clear_error(P, first + 1, on * config[CODE_MULTIPATH] * config[CODE_MULTIPATH])
-    clear_error(P, first + 2, on * config[CARRIER_NOISE] * config[CARRIER_NOISE])
+    clear_error(state, channels, first, on * slow * slow)
+    clear_error(state, channels, first + 1, on * config[CODE_MULTIPATH] * config[CODE_MULTIPATH])
+    clear_error(state, channels, first + 2, on * config[CARRIER_NOISE] * config[CARRIER_NOISE])
     return free
 
 
@@ -164,6 +166,7 @@ def decay_multipath(state, channels, config, dt):
         for k in range(n):
             P[k, index] *= factor
         P[index, index] += fresh
+        signatures_of(state, channels)[:, index] *= factor
 
 
 @njit(cache=True, nogil=True)

@@ -57,6 +57,7 @@ def config_array(params: FilterParams) -> np.ndarray:
         params.cn0_reference,
         params.published_rate_noise,
         params.carrier_interval,
+        chi2_gate(1, params.drift_probability),
     ]
     assert len(values) == ch.CONFIG_SIZE
     assert values[CONFIG_PREDICTION] == params.code_noise

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ins_gps import channels as ch
 from ins_gps.constants import SYSTEM_LETTERS
+from ins_gps.fates import fate_of
 from ins_gps.filter import NANOSECONDS, NavigationFilter
 from ins_gps.fix import protection_level
 from ins_gps.params import FilterParams
@@ -27,19 +27,6 @@ from kalman_core.event_time import EventTimeBuffer
 from kalman_core.health import Tally
 
 _PORTS = ('imu/data_raw', 'gnss/corrections', 'gnss/observations', 'gnss/fix', 'gnss/velocity')
-_CODE_WORDS = {
-    ch.ROW_USED: 'used',
-    ch.ROW_CODE_REJECTED: 'gated',
-    ch.ROW_LOW: 'low',
-    ch.ROW_NO_ORBIT: 'no orbit',
-}
-_RATE_WORDS = {
-    ch.RATE_USED: 'carrier',
-    ch.RATE_SLIP: 'slip',
-    ch.RATE_NEW: 'new',
-    ch.RATE_DOPPLER: 'doppler',
-    ch.RATE_NONE: 'no rate',
-}
 
 
 class InsGpsEstimator:
@@ -121,10 +108,7 @@ class InsGpsEstimator:
         values['vertical protection level (m)'] = protection_level(float(sigma[2]))
         for row, report in zip(navigation.rows, navigation.report, strict=True):
             name = f'{SYSTEM_LETTERS[int(row[0])]}{int(row[1]):02d} band {int(row[2])}'
-            code = _CODE_WORDS.get(int(report[ch.REPORT_CODE]), 'not used')
-            rate = _RATE_WORDS[int(report[ch.REPORT_RATE])]
-            code_w, rate_w = report[ch.REPORT_CODE_W], report[ch.REPORT_RATE_W]
-            values[name] = f'{code} {code_w:+.1f} σ, {rate} {rate_w:+.1f} σ'
+            values[name] = fate_of(report)
         return values
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ins_gps.batch import run_batch
+from ins_gps.channels import FAULT_GATE, GATE
 from ins_gps.filter import NavigationFilter
 from ins_gps.params import FilterParams
 from ins_gps.simulation import (
@@ -68,12 +69,16 @@ def filter_params(budget: ErrorBudget, imu: ImuErrors = HG1700, **changes) -> Fi
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Errors (k, 9), covariances (k, 9, 9) and times (k,) s at the GNSS epochs of one run."""
+    """Errors (k, 9), covariances (k, 9, 9) and times (k,) s at the GNSS epochs of one run.
+
+    fates: as in `History`.
+    """
 
     times: np.ndarray
     errors: np.ndarray
     covariances: np.ndarray
     navigation: NavigationFilter
+    fates: list[np.ndarray]
 
     @property
     def position(self) -> np.ndarray:
@@ -103,21 +108,37 @@ class Evaluation:
 
 
 def evaluate(
-    run: Run, params: FilterParams, seed: int, sigmas: np.ndarray = START_SIGMAS, *, exact: bool = False
+    run: Run,
+    params: FilterParams,
+    seed: int,
+    sigmas: np.ndarray = START_SIGMAS,
+    *,
+    exact: bool = False,
+    gates: bool = True,
 ) -> Evaluation:
     """Run the filter on a simulated run from a start that is wrong by `sigmas` times a normal draw.
 
-    With `exact` the start is right although the filter believes `sigmas`.
+    With `exact` the start is right although the filter believes `sigmas`; without `gates` nothing is
+    rejected.
     """
     navigation = NavigationFilter(params)
-    rng = np.random.default_rng([seed, 77])
-    error = sigmas * (0.0 if exact else 1.0) * rng.standard_normal(9)
-    start = displaced(run.truth[0], error)
-    clock = run.clock[0] + np.array([100.0, 3.0]) * rng.standard_normal(2)
-    if params.mode != 'gps':
-        navigation.initialise(int(run.stamps[0]), start, sigmas, (clock[0], clock[1]), (100.0, 3.0))
+    if not gates:
+        navigation.config[GATE] = navigation.config[FAULT_GATE] = math.inf
+    start_wrong(navigation, run, seed, sigmas, exact=exact)
     history = run_batch(navigation, run.stamps[1:], run.rate, run.force, run.epochs)
     return compare(run, history, navigation)
+
+
+def start_wrong(
+    navigation: NavigationFilter, run: Run, seed: int, sigmas: np.ndarray, *, exact: bool = False
+) -> None:
+    """Start at a run's truth, wrong by `sigmas` (9,) times a normal draw (`exact`: by nothing)."""
+    rng = np.random.default_rng([seed, 77])
+    error = sigmas * (0.0 if exact else 1.0) * rng.standard_normal(9)
+    clock = run.clock[0] + np.array([100.0, 3.0]) * rng.standard_normal(2)
+    if navigation.params.mode != 'gps':
+        start = displaced(run.truth[0], error)
+        navigation.initialise(int(run.stamps[0]), start, sigmas, (clock[0], clock[1]), (100.0, 3.0))
 
 
 def compare(run: Run, history, navigation: NavigationFilter) -> Evaluation:
@@ -126,7 +147,7 @@ def compare(run: Run, history, navigation: NavigationFilter) -> Evaluation:
     index = np.minimum(index, len(run.stamps) - 1)
     errors = np.array([error_of(n, run.truth[i]) for n, i in zip(history.nav, index, strict=True)])
     times = (history.stamps - run.stamps[0]) * 1e-9
-    return Evaluation(times, errors.reshape(-1, 9), history.covariance, navigation)
+    return Evaluation(times, errors.reshape(-1, 9), history.covariance, navigation, history.fates)
 
 
 def paper_scenario(**changes) -> Scenario:

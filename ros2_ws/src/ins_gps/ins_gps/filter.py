@@ -16,6 +16,7 @@ from ins_gps import layout as at
 from ins_gps.carrier import remember_carrier
 from ins_gps.configuration import config_array
 from ins_gps.constraints import non_holonomic_update, zero_velocity_update
+from ins_gps.fates import count_rows
 from ins_gps.gnss_update import gnss_epoch
 from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, vector_update
 from ins_gps.params import FilterParams
@@ -280,11 +281,10 @@ class NavigationFilter:
         sec, nsec = divmod(stamp, NANOSECONDS)
         gnss_epoch(self.state, self.channels, self._prediction, rows, sec, nsec, report, summary)
         self.rows, self.report = rows, report
-        if self.tally.muted:
-            return
-        self._count(stamp, report)
-        if summary[ch.SUM_CLOCK_JUMP] != 0.0:
-            self.tally.restart(f'receiver clock jumped by {summary[ch.SUM_CLOCK_JUMP]:.0f} m')
+        if not self.tally.muted:
+            count_rows(self.tally, stamp, report, float(self.config[ch.GATE]))
+            if summary[ch.SUM_CLOCK_JUMP] != 0.0:
+                self.tally.restart(f'receiver clock jumped by {summary[ch.SUM_CLOCK_JUMP]:.0f} m')
         if summary[ch.SUM_RESTART] > 0.0:
             self._restart_position(stamp, rows)
 
@@ -293,7 +293,8 @@ class NavigationFilter:
         self.state[at.LOST] = 0.0
         if fix is None:
             return
-        self.tally.restart(f'most codes rejected for {self.params.lost_time:g} s: position starts anew')
+        if not self.tally.muted:
+            self.tally.restart(f'most codes rejected for {self.params.lost_time:g} s: position starts anew')
         nav = self.nav.copy()
         nav[:3] = fix.geodetic
         attitude = np.sqrt(np.maximum(np.diag(self.covariance)[at.ATT : at.ATT + 3], 1e-4))
@@ -301,24 +302,6 @@ class NavigationFilter:
         if fix.velocity is not None:
             nav[3:6] = mat_ecef_from_ned(nav[0], nav[1]).T @ fix.velocity.position
         self.initialise(stamp, nav, sigmas, (fix.position.clock, self.state[at.CLOCK_DRIFT]))
-
-    def _count(self, stamp: int, report: np.ndarray) -> None:
-        tally, gate = self.tally, float(self.config[ch.GATE])
-        for code, rate, code_w, rate_w, _ in report:
-            if code == ch.ROW_USED:
-                tally.accept('gnss/code', stamp, code_w**2, gate)
-            elif code == ch.ROW_CODE_REJECTED:
-                tally.reject('gnss/code', 'innovation gate')
-            elif code == ch.ROW_LOW:
-                tally.reject('gnss/code', 'below the elevation mask')
-            elif code == ch.ROW_NO_ORBIT:
-                tally.reject('gnss/code', 'no ephemeris')
-            if rate == ch.RATE_USED:
-                tally.accept('gnss/carrier', stamp, rate_w**2, gate)
-            elif rate == ch.RATE_DOPPLER:
-                tally.accept('gnss/doppler', stamp, rate_w**2, gate)
-            elif rate == ch.RATE_SLIP:
-                tally.reject('gnss/carrier', 'cycle slip')
 
     def _loose(self, stamp: int, rows: np.ndarray, since: float) -> None:
         s = self.state

@@ -18,6 +18,7 @@ from ins_gps.channels import (
     CODE_SLOW,
     CODE_SLOW_ALONE,
     DOPPLER_NOISE,
+    FAULT_GATE,
     GATE,
     LOST_TIME,
     PUBLISHED_RATE_NOISE,
@@ -32,6 +33,7 @@ from ins_gps.channels import (
     REPORT_RATE,
     REPORT_RATE_W,
     ROW_CODE_REJECTED,
+    ROW_DRIFTS,
     ROW_USED,
     SUM_CLOCK_JUMP,
     SUM_CODE_NIS,
@@ -52,7 +54,9 @@ from ins_gps.constants import (
     SPEED_OF_LIGHT,
 )
 from ins_gps.correction import ACCEPTED, UNUSED, joint_update
+from ins_gps.faults import admit_again, open_hypotheses, spread_signatures, take_out_drift
 from ins_gps.layout import (
+    C_BARRED,
     C_MULTIPATH,
     C_PHASE,
     C_REJECTED,
@@ -152,7 +156,7 @@ def _take_out_clock_jump(state, channels, nu, use, rows):
     if _median(values, count) > 0.2 * abs(shift):
         return 0.0
     state[CLOCK] += shift
-    clear_error(P, CLK, _CLOCK_JUMP_SIGMA**2)
+    clear_error(state, channels, CLK, _CLOCK_JUMP_SIGMA**2)
     return shift
 
 
@@ -199,6 +203,8 @@ def _rate_update(state, channels, config, rows, use, site, mat_nb, mat_en, dt, r
     normalised = np.zeros(m)
     information = np.zeros((m, m))
     nis, count = joint_update(P, H, nu, R, status, config[GATE], dx, normalised, information)
+    nowhere = np.full(m, -1, np.int64)
+    spread_signatures(state, channels, H, nu, R, status, information, nowhere, nowhere, 0.0)
     inject(state, channels, dx)
     if count:
         summary[SUM_RATE_NIS] += nis
@@ -255,15 +261,24 @@ def gnss_epoch(state, channels, config, rows, sec, nsec, report, summary):
     status = np.zeros(m, np.int64)
     codes = 0
     for i in range(m):
-        if use[i] >= 0 and math.isfinite(rows[i, 3]):
-            status[i] = ACCEPTED
-            codes += 1
+        if use[i] < 0 or not math.isfinite(rows[i, 3]):
+            continue
+        if state[HEAD + use[i] * CHANNEL_WIDTH + C_BARRED] > 0.0:
+            report[i, REPORT_CODE] = ROW_DRIFTS
+            continue
+        status[i] = ACCEPTED
+        codes += 1
     dx = np.zeros(n)
     normalised = np.zeros(m)
     information = np.zeros((m, m))
     nis, count = joint_update(P, H, nu, R, status, config[GATE], dx, normalised, information)
     inject(state, channels, dx)
     summary[SUM_CODE_NIS], summary[SUM_CODE_USED] = nis, count
+    if config[CLONES] > 0.0:
+        open_hypotheses(state, channels, use, status, normalised, since)
+        nowhere = np.full(m, -1, np.int64)
+        spread_signatures(state, channels, H, nu, R, status, information, use, nowhere, 0.0)
+        admit_again(state, channels, H, nu, R, dx, use, status, since)
     for i in range(m):
         if status[i] == UNUSED:
             continue
@@ -271,6 +286,11 @@ def gnss_epoch(state, channels, config, rows, sec, nsec, report, summary):
         report[i, REPORT_CODE_W] = normalised[i]
         at = HEAD + use[i] * CHANNEL_WIDTH
         state[at + C_REJECTED] = 0.0 if status[i] == ACCEPTED else state[at + C_REJECTED] + 1.0
+    if config[CLONES] > 0.0:
+        barred = take_out_drift(state, channels, config[FAULT_GATE], count, use, status)
+        for i in range(m):
+            if barred >= 0 and use[i] == barred:
+                report[i, REPORT_CODE] = ROW_DRIFTS
     if codes >= 4 and 2 * count < codes:
         state[LOST] += since
     else:

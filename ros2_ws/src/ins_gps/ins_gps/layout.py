@@ -32,13 +32,17 @@ STILL, ZERO_USED, CONSTRAINED = 57, 58, 59  # s: still since; last update of eit
 FIX_SEC = 60
 IMU_STEP = 64  # s, the last interval of the IMU
 BEFORE_VELOCITY = 61  # velocity of the epoch before, while coasting
-HEAD = 65
+WHEEL_SUMS = 65  # lateral and vertical: leaky sums of the non-holonomic innovations in σ
+HEAD = 67
 
 # One channel.
 C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_REJECTED = (
     0, 1, 2, 3, 4, 7, 8, 9, 10, 11,
 )  # fmt: skip
-CHANNEL_WIDTH = 12
+# Of `faults`: cumulated sums, onset (s), score and information of a drift, its sign, barred (0 or 1), s of
+# agreement.
+C_PLUS, C_MINUS, C_ONSET, C_SCORE, C_INFORMATION, C_SIGN, C_BARRED, C_AGREED = 12, 13, 14, 15, 16, 17, 18, 19
+CHANNEL_WIDTH = 20
 
 # DGPS corrections: one slot per satellite that can exist.
 SLOTS_PER_SYSTEM = 40
@@ -60,8 +64,10 @@ def copied_states(channels: int) -> int:
 def state_size(channels: int, copies: int = 0) -> int:
     """Return the length of the flat array with this many channels.
 
+    After head, channels and corrections: the covariance (n, n), the signatures of `faults` (channels, n).
     A smoother freezes `copies` errors of an earlier time behind the error states; what later measurements
     say of them is kept in as many values at the array's end.
     """
     n = error_states(channels) + copies
-    return HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH + n * n + copies
+    start = HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH
+    return start + n * n + channels * n + copies

@@ -15,6 +15,7 @@ from numba import njit
 from ins_gps.channels import corrected_range, signal_key, wavelength
 from ins_gps.constants import SPEED_OF_LIGHT
 from ins_gps.correction import ACCEPTED, joint_update
+from ins_gps.faults import spread_signatures
 from ins_gps.fix import OK, Fix, solve_position, solve_velocity
 from ins_gps.layout import C_KEY, C_PHASE, C_SATCLK, CHANNEL_WIDTH, HEAD
 from ins_gps.orbit import azimuth_elevation, range_and_rate
@@ -111,7 +112,10 @@ def vector_update(state, channels, H, nu, covariance, gate):
     white_nu = np.linalg.solve(L, nu)
     dx = np.zeros(n)
     status = np.full(m, ACCEPTED, np.int64)
-    joint_update(P, white_H, white_nu, np.ones(m), status, np.inf, dx, np.zeros(m), np.zeros((m, m)))
+    R, information = np.ones(m), np.zeros((m, m))
+    joint_update(P, white_H, white_nu, R, status, np.inf, dx, np.zeros(m), information)
+    nowhere = np.full(m, -1, np.int64)
+    spread_signatures(state, channels, white_H, white_nu, R, status, information, nowhere, nowhere, 0.0)
     inject(state, channels, dx)
     return nis, True
 

@@ -15,6 +15,7 @@ from ins_gps.layout import (
     ATT,
     C_MULTIPATH,
     C_NOISE,
+    C_ONSET,
     C_SLOW,
     CHANNEL,
     CHANNEL_WIDTH,
@@ -73,9 +74,18 @@ def covariance_of(state, channels):
     """Return the view (n, n) of the covariance within the flat array, frozen copies included."""
     own = CHANNEL + PER_CHANNEL * channels
     start = HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH
-    # n² + (n − own) values follow: see `layout.state_size`.
-    n = round(0.5 * (math.sqrt(1.0 + 4.0 * (len(state) - start + own)) - 1.0))
+    # n² + channels n + (n − own) values follow: see `layout.state_size`.
+    half = 0.5 * (channels + 1.0)
+    n = round(math.sqrt(half * half + len(state) - start + own) - half)
     return state[start : start + n * n].reshape((n, n))
+
+
+@njit(cache=True, nogil=True)
+def signatures_of(state, channels):
+    """Return the view (channels, n) of what a drift of each code would have done to the estimate."""
+    n = covariance_of(state, channels).shape[0]
+    start = HEAD + channels * CHANNEL_WIDTH + CORRECTION_SLOTS * CORRECTION_WIDTH + n * n
+    return state[start : start + channels * n].reshape((channels, n))
 
 
 @njit(cache=True, nogil=True)
@@ -188,6 +198,16 @@ def advance_covariance(state, channels, config):
     P[CLK, DRIFT] += 0.5 * qd * dt
     P[DRIFT, CLK] += 0.5 * qd * dt
     P[DRIFT, DRIFT] += qd
+    signatures = signatures_of(state, channels)
+    moved = np.empty(NAV_STATES)
+    for a in range(channels):
+        if state[HEAD + a * CHANNEL_WIDTH + C_ONSET] == 0.0:
+            continue
+        for i in range(NAV_STATES):
+            moved[i] = 0.0
+            for k in range(NAV_STATES):
+                moved[i] += Phi[i, k] * signatures[a, k]
+        signatures[a, :NAV_STATES] = moved
     state[SPAN] = 0.0
     state[SPAN_FORCE : SPAN_FORCE + 3] = 0.0
 

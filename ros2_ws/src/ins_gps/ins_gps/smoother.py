@@ -27,7 +27,7 @@ from ins_gps import layout as at
 from ins_gps.batch import advance
 from ins_gps.filter import NANOSECONDS, NavigationFilter
 from ins_gps.params import FilterParams
-from ins_gps.prediction import covariance_of, hold_to
+from ins_gps.prediction import covariance_of, hold_to, signatures_of
 from ins_gps.samples import Corrections, GnssEpoch, PositionSample, VelocitySample
 from ins_gps.solution import displaced, error_of
 from ins_gps.strapdown import NAV
@@ -55,6 +55,9 @@ def _freeze(state, channels):
         source = i if i < at.CLONE else i + _CLONES
         for k in range(copies):
             P[own + k, own + i] = P[own + k, source]
+    F = signatures_of(state, channels)
+    for i in range(copies):
+        F[:, own + i] = F[:, i if i < at.CLONE else i + _CLONES]
     state[len(state) - copies :] = 0.0
 
 

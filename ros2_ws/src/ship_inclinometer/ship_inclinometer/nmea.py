@@ -12,6 +12,9 @@ from datetime import UTC, datetime
 from ship_inclinometer.marine import Picture
 from ship_inclinometer.samples import INVALID
 
+# Heel (deg) of MSC.363(92): what may be further off is sent, but with status V.
+_ACCURACY = 1.0
+
 
 def checksum(body: str) -> str:
     """Return the two hexadecimal digits: XOR of all characters between $ and *."""
@@ -49,7 +52,8 @@ def hrm(talker: str, picture: Picture, now: int) -> str:
         moment = datetime.fromtimestamp(picture.peak_reset * 1e-9, UTC)
         reset = [f'{moment:%H%M%S}', f'{moment:%d}', f'{moment:%m}']
     heel = number(picture.roll) if valid else ''
-    return sentence(talker, 'HRM', heel, *measured, 'A' if valid else 'V', *peaks, *reset)
+    status = 'A' if valid and picture.sigma_roll <= _ACCURACY else 'V'
+    return sentence(talker, 'HRM', heel, *measured, status, *peaks, *reset)
 
 
 def xdr(talker: str, picture: Picture, now: int) -> str:

@@ -61,6 +61,12 @@ def test_every_sentence_has_a_valid_checksum_and_fits_82_characters():
         assert len(text) <= 82
 
 
+def test_a_heel_that_may_be_off_by_more_than_a_degree_is_sent_with_status_v():
+    p = picture()
+    p.sigma_roll = 1.2
+    assert hrm('II', p, NOW).startswith('$IIHRM,12.3,11.6,9.8,13.1,V,')
+
+
 def test_no_negative_zero():
     assert hrm('II', picture(roll=-0.01), NOW).startswith('$IIHRM,0.0,')
 

@@ -18,6 +18,8 @@ usage: ./ws COMMAND [arguments]
   test [PACKAGE …]    install what is missing, build with colcon, run the tests (pytest arguments may follow)
   sweep …             many runs of an estimator over parameters, bags and seeds (ros2 run bag_tools sweep)
   bench [PACKAGE …]   measure every figure against its bar and its peers (docs/results/bench.json)
+  coverage [PACKAGE …]  statement and branch coverage of the algorithms, kernels included
+  mutation [MODULE …]   do the tests of kalman_core notice small changes?
   bags [--check]      make the fixtures in bags/ from their seeds, or check them against the manifest
   docs [--check]      fill the generated tables of the READMEs and the default YAML files
   docs --picture      renew the picture in the README from the last report (needs chromium)
@@ -227,6 +229,8 @@ main() {
     test) prepare && setup_sweep && run_tests "$@" ;;
     sweep) prepare && setup_sweep && exec python -m bag_tools.sweep "$@" ;;
     bench) prepare && setup_sweep && setup_bench && exec "$VENV_BENCH/bin/python" -m bag_tools.bench "$@" ;;
+    coverage) prepare && exec python "$WS_ROOT/tools/coverage_report.py" "$@" ;;
+    mutation) prepare && exec python "$WS_ROOT/tools/mutation.py" "$@" ;;
     bags) prepare && exec python -m workspace_harness.make_bags "$@" ;;
     docs)
       prepare

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`./ws coverage [PACKAGE …]`: statement and branch coverage of kalman_core and the algorithm modules.
+
+Compiled kernels cannot be traced. The tests are therefore run with NUMBA_DISABLE_JIT=1, where the kernels are
+plain Python and slow: a file of tests that is not done within its time is stopped, what it has covered by
+then counts, and it is run once more as it is, for all that is no kernel. Nodes need a graph and are left out.
+Exit code 1 below the bar.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCE = ROOT / 'ros2_ws' / 'src'
+PACKAGES = ('kalman_core', 'imu_kalman', 'ship_inclinometer', 'ev_velocity', 'ins_gps', 'quad_control')
+BAR = 95.0  # %
+_OMIT = ('*/nodes/*', '*/test/*', '*/fake_*', '*/fixtures.py', '*/replays.py', '*/importers.py')
+# Seconds that the tests of one file may take without the compiler.
+_LIMIT = 240.0
+_STOPPED = 'stopped'
+# Tests that start processes say nothing about the algorithms and only cost time here.
+_LIVE = ('rclpy', 'node_core.testing', 'chromium')
+
+
+def _environment(package: str, folder: Path, *, jit: bool) -> dict[str, str]:
+    paths = [str(SOURCE / p) for p in (*PACKAGES, 'node_core', 'bag_tools')]
+    settings = folder / 'coveragerc'
+    settings.write_text(
+        f'[run]\nbranch = True\nparallel = True\nsigterm = True\nsource = {package}\n'
+        f'data_file = {folder / "data"}\nomit = {",".join(_OMIT)}\n'
+        '[report]\nexclude_also =\n    if TYPE_CHECKING:\n    ^\\s*\\.\\.\\.$\n'
+    )
+    environment = {
+        **os.environ,
+        'PYTHONPATH': os.pathsep.join([*paths, os.environ.get('PYTHONPATH', '')]),
+        'COVERAGE_RCFILE': str(settings),
+    }
+    if not jit:
+        environment['NUMBA_DISABLE_JIT'] = '1'
+    return environment
+
+
+def _tests(package: str) -> list[Path]:
+    files = sorted((SOURCE / package / 'test').glob('test_*.py'))
+    return [f for f in files if not any(word in f.read_text(encoding='utf-8') for word in _LIVE)]
+
+
+def _pytest(package: str, file: Path, environment: dict[str, str], limit: float | None) -> str:
+    command = [sys.executable, '-m', 'coverage', 'run', '-m', 'pytest', '-q', '-p', 'no:cacheprovider']
+    process = subprocess.Popen(
+        [*command, str(file)],
+        cwd=SOURCE / package,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        said = process.communicate(timeout=limit)[0]
+        return said.strip().splitlines()[-1]
+    except subprocess.TimeoutExpired:
+        process.terminate()
+        process.communicate()
+        return f'{_STOPPED} after {limit:g} s'
+
+
+def measure(package: str, limit: float) -> dict:
+    """Run the tests of `package`; return coverage's JSON report."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        plain = _environment(package, folder, jit=False)
+        for file in _tests(package):
+            said = _pytest(package, file, plain, limit)
+            print(f'{package}: {file.name}: {said}', flush=True)
+            if said.startswith(_STOPPED):
+                said = _pytest(package, file, _environment(package, folder, jit=True), None)
+                print(f'{package}: {file.name}, compiled: {said}', flush=True)
+        report = folder / 'report.json'
+        for words in (['combine', '-q'], ['json', '-q', '-o', str(report)]):
+            subprocess.run(
+                [sys.executable, '-m', 'coverage', *words], env=plain, cwd=SOURCE / package, check=True
+            )
+        return json.loads(report.read_text())
+
+
+def _lines(report: dict, package: str) -> list[str]:
+    lines = []
+    for file, entry in sorted(report['files'].items()):
+        summary = entry['summary']
+        if summary['percent_covered'] < 100.0:
+            missing = [str(n) for n in entry['missing_lines']]
+            missing += [f'{a}->{b}' for a, b in entry['missing_branches'] if a not in entry['missing_lines']]
+            lines.append(
+                f'  {Path(file).name:32} {summary["percent_covered"]:5.1f} %  {", ".join(missing)[:160]}'
+            )
+    total = report['totals']
+    statements = 100.0 * total['covered_lines'] / max(total['num_statements'], 1)
+    branches = 100.0 * total['covered_branches'] / max(total['num_branches'], 1)
+    lines.append(f'{package}: statements {statements:.1f} %, branches {branches:.1f} %')
+    return lines
+
+
+def main() -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(prog='./ws coverage', description='Measure the coverage of algorithms.')
+    parser.add_argument('packages', nargs='*', help=f'default: {" ".join(PACKAGES)}')
+    parser.add_argument('--limit', type=float, default=_LIMIT, help='s per test file without the compiler')
+    asked = parser.parse_args()
+    if unknown := set(asked.packages) - set(PACKAGES):
+        parser.error(f"no package '{min(unknown)}'; known: {', '.join(PACKAGES)}")
+    low = False
+    for package in asked.packages or PACKAGES:
+        report = measure(package, asked.limit)
+        print('\n'.join(_lines(report, package)), flush=True)
+        low = low or report['totals']['percent_covered'] < BAR
+    return 1 if low else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

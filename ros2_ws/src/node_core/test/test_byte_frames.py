@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections import Counter
+from functools import cache
 
 import pytest
 from hypothesis import given, settings
@@ -15,6 +16,7 @@ def ubx(second=1):
     return UBXMessage('NAV', 'NAV-PVT', GET, second=second).serialize()
 
 
+@cache  # pynmeagps writes the present time into it
 def nmea(speed=10.0):
     return NMEAMessage('GN', 'RMC', GET, status='A', spd=speed).serialize()
 

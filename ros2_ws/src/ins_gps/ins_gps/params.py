@@ -272,7 +272,7 @@ class RtcmParams(StreamParams):
     leap_seconds: int = parameter(18, 'GPS minus UTC', unit='s', minimum=0, maximum=60)
     gps_week: int = parameter(
         0,
-        'a GPS week within ten years of an old recording without Galileo, which tells its own; 0: of today',
+        'a week within nine years of a recording from before 2016 or after 2035 without Galileo; 0: between',
         unit='week',
         minimum=0,
         maximum=8191,

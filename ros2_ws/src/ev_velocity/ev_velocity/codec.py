@@ -215,7 +215,7 @@ def _inputs() -> tuple[Input, ...]:
         Input('wheel/encoder', JOINTS, decode_encoder, 'on_angle'),
         Input('wheel/states', JOINTS, decode_wheels, 'on_wheel_rates'),
         Input('vehicle/speed', TWIST, decode_wheel_speed, 'on_wheel_speed'),
-        Input('obd/speed', TWIST, decode_wheel_speed, 'on_wheel_speed'),
+        Input('obd/speed', TWIST, decode_wheel_speed, 'on_obd_speed'),
         Input('vehicle/pedals', JOINTS, decode_pedals, 'on_pedals'),
         Input('vehicle/gear', JOINTS, decode_gear, 'on_gear'),
     )

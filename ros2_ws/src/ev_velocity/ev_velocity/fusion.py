@@ -23,7 +23,18 @@ from ev_velocity.samples import (
     WheelRateSample,
     WheelSpeedSample,
 )
-from ev_velocity.velocity import origin_of
+from ev_velocity.velocity import (
+    ANGLE,
+    FORCE,
+    GEAR,
+    GPS,
+    NAMES,
+    OBD_SPEED,
+    PEDALS,
+    WHEEL_RATES,
+    WHEEL_SPEED,
+    origin_of,
+)
 from kalman_core.event_time import EventTimeBuffer
 from kalman_core.health import Tally
 
@@ -32,9 +43,6 @@ START_STEP = 0.002  # s, the paper's fast step, until two accelerometer samples 
 START_ACCEL_VARIANCE = 1.0  # (m/s²)²
 FORCE_LIMIT = 60.0  # m/s²
 SPEED_LIMIT = 150.0  # m/s
-
-FORCE, GPS, ANGLE, WHEEL_SPEED, PEDALS, GEAR = range(6)
-NAMES = ('accelerometer', 'gps', 'wheel angle', 'wheel speed', 'pedals', 'gear')
 
 
 def kernel_constants(params: FusionParams) -> np.ndarray:
@@ -71,6 +79,7 @@ class _Model:
         self._constants = kernel_constants(params)
         self._handlers = (
             self._force, self._gps, self._angle, self._wheel_speed, self._pedals, self._gear,
+            self._wheel_speed, self._wheel_speed,
         )  # fmt: skip
 
     def reset(self) -> None:
@@ -172,14 +181,21 @@ class FusionEstimator:
 
     def on_wheel_speed(self, sample: WheelSpeedSample) -> Any:
         """Take a speed signal of the wheels; its magnitude counts."""
-        sample = sample._replace(speed=abs(sample.speed))
-        return self._feed(WHEEL_SPEED, sample, sample.speed < SPEED_LIMIT)
+        return self._on_speed(WHEEL_SPEED, sample)
+
+    def on_obd_speed(self, sample: WheelSpeedSample) -> Any:
+        """Take the speed that OBD says; its magnitude counts."""
+        return self._on_speed(OBD_SPEED, sample)
 
     def on_wheel_rates(self, sample: WheelRateSample) -> Any:
         """Take the turning rates of the wheels: their median counts."""
         rates = [abs(rate) for rate in sample.rates]
         speed = median(rates) * self._model.params.wheel_radius if rates else math.nan
-        return self.on_wheel_speed(WheelSpeedSample(sample.stamp, speed))
+        return self._on_speed(WHEEL_RATES, WheelSpeedSample(sample.stamp, speed))
+
+    def _on_speed(self, port: int, sample: WheelSpeedSample) -> Any:
+        sample = sample._replace(speed=abs(sample.speed))
+        return self._feed(port, sample, sample.speed < SPEED_LIMIT)
 
     def on_pedals(self, sample: PedalSample) -> Any:
         """Take the pedals, which name the driving phase."""

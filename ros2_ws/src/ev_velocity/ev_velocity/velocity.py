@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -57,9 +58,14 @@ FORCE_LIMIT = 60.0  # m/s²
 GPS_SIGMA_FLOOR = 0.02
 PHASE_THRESHOLD = 0.15  # m/s², the paper's e_x
 
-FORCE, GPS, ANGLE, WHEEL_SPEED, PEDALS, GEAR = range(6)
-NAMES = ('accelerometer', 'gps', 'wheel angle', 'wheel speed', 'pedals', 'gear')
-REFUSAL = {GPS: 'gate', ANGLE: 'gate (slip)', WHEEL_SPEED: 'gate (slip)'}
+FORCE, GPS, ANGLE, WHEEL_SPEED, PEDALS, GEAR, WHEEL_RATES, OBD_SPEED = range(8)
+# Diagnostics count by topic.
+NAMES = (
+    'imu/data_raw', 'gps/speed', 'wheel/encoder', 'vehicle/speed', 'vehicle/pedals', 'vehicle/gear',
+    'wheel/states', 'obd/speed',
+)  # fmt: skip
+REFUSAL = 'gate'
+REFUSAL_OF_WHEEL = 'gate (slip)'
 _LEARNED = (mem.B, mem.K, mem.S, mem.C, mem.TG, mem.TW)
 
 
@@ -133,6 +139,7 @@ class _Model:
         self._counts_per_radian = params.pulses_per_revolution / (2.0 * math.pi)
         self._handlers: tuple[Callable[[Any, float], Any], ...] = (
             self._force, self._gps, self._angle, self._wheel_speed, self._pedals, self._gear,
+            partial(self._wheel_speed, port=WHEEL_RATES), partial(self._wheel_speed, port=OBD_SPEED),
         )  # fmt: skip
 
     def reset(self) -> None:
@@ -190,11 +197,11 @@ class _Model:
         self._book(ANGLE, sample.stamp, done)
         return [self._slip(sample.stamp, done), *self._silent(sample.stamp, t)]
 
-    def _wheel_speed(self, sample: WheelSpeedSample, t: float) -> Any:
+    def _wheel_speed(self, sample: WheelSpeedSample, t: float, port: int = WHEEL_SPEED) -> Any:
         sigma = self.params.wheel_speed_sigma
         variance = sample.variance if sample.variance > 0.0 else sigma * sigma
         done = speed_step(self.state, self._constants, sample.speed, variance, t, self._scratch)
-        self._book(WHEEL_SPEED, sample.stamp, done)
+        self._book(port, sample.stamp, done)
         return [self._slip(sample.stamp, done), *self._silent(sample.stamp, t)]
 
     def _pedals(self, sample: PedalSample, t: float) -> None:
@@ -228,7 +235,7 @@ class _Model:
         name = NAMES[port]
         tally = self._tally
         if done == mem.REFUSED:
-            tally.reject(name, REFUSAL[port])
+            tally.reject(name, REFUSAL if port == GPS else REFUSAL_OF_WHEEL)
             return
         if done == mem.REOPENED and not tally.muted:
             what = 'speed anchored anew' if port == GPS else 'scale learned anew'
@@ -309,16 +316,23 @@ class VelocityEstimator:
 
     def on_wheel_speed(self, sample: WheelSpeedSample) -> list | None:
         """Take a speed signal of the wheels; its magnitude counts."""
-        if not abs(sample.speed) < SPEED_LIMIT:
-            self.tally.reject(NAMES[WHEEL_SPEED], 'not finite or out of range')
-            return None
-        return self._feed(WHEEL_SPEED, sample._replace(speed=abs(sample.speed)))
+        return self._on_speed(WHEEL_SPEED, sample)
+
+    def on_obd_speed(self, sample: WheelSpeedSample) -> list | None:
+        """Take the speed that OBD says; its magnitude counts."""
+        return self._on_speed(OBD_SPEED, sample)
 
     def on_wheel_rates(self, sample: WheelRateSample) -> list | None:
         """Take the turning rates of the wheels: their median counts, so that one wheel may slip."""
         rates = [abs(rate) for rate in sample.rates]
         speed = median(rates) * self.params.wheel_radius if rates else math.nan
-        return self.on_wheel_speed(WheelSpeedSample(sample.stamp, speed))
+        return self._on_speed(WHEEL_RATES, WheelSpeedSample(sample.stamp, speed))
+
+    def _on_speed(self, port: int, sample: WheelSpeedSample) -> list | None:
+        if not abs(sample.speed) < SPEED_LIMIT:
+            self.tally.reject(NAMES[port], 'not finite or out of range')
+            return None
+        return self._feed(port, sample._replace(speed=abs(sample.speed)))
 
     def on_pedals(self, sample: PedalSample) -> list | None:
         """Take the pedals, which name the driving phase."""

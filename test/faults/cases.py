@@ -9,7 +9,7 @@ from __future__ import annotations
 import resource
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -411,7 +411,8 @@ def cases() -> list[Case]:
     return found
 
 
-# In the tests: the faults that differ most in what they touch, three for each system.
+# In the tests: the faults that differ most in what they touch, in the systems that start fastest.
+SHORT_SYSTEMS = ('imu_kalman', 'quad_control')
 SHORT = (
     'kill -9 and restart',
     'one IMU message in three nan',
@@ -420,10 +421,10 @@ SHORT = (
 
 
 def short_cases() -> list[Case]:
-    """Return the cases of the tests: for each system its estimator killed, corrupted and stopped."""
+    """Return the cases of the tests: the estimator killed, corrupted and stopped."""
     chosen = []
     for case in cases():
         main = SYSTEMS[case.system].main.name
-        if case.fault in (f'{SHORT[0]} {main}', *SHORT[1:]):
-            chosen.append(replace(case))
+        if case.system in SHORT_SYSTEMS and case.fault in (f'{SHORT[0]} {main}', *SHORT[1:]):
+            chosen.append(case)
     return chosen

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The injector, and a short campaign: in each system the estimator is killed, corrupted and stopped."""
+"""The injector, and a short campaign: the estimator is killed, corrupted and stopped."""
 
 import math
 from types import SimpleNamespace

@@ -14,7 +14,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = ('chromium', 'chromium-browser', 'google-chrome')
 # Wide enough for two figures side by side, high enough for table, graph and the first paper's figures.
-WIDTH, HEIGHT = 1240, 1720
+WIDTH, HEIGHT = 1240, 1700
 LARGEST = 300_000  # bytes
 
 

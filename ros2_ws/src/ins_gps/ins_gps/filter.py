@@ -21,12 +21,7 @@ from ins_gps.gnss_update import gnss_epoch
 from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, vector_update
 from ins_gps.params import FilterParams
 from ins_gps.plausibility import imu_fault, navigation_fault, plausible_rows, valid_satellites
-from ins_gps.prediction import (
-    advance_covariance,
-    covariance_of,
-    hold_to,
-    imu_step,
-)
+from ins_gps.prediction import advance_covariance, covariance_of, hold_to, imu_step
 from ins_gps.samples import (
     BiasEstimate,
     Corrections,
@@ -59,6 +54,9 @@ _PRIOR_DRIFT = 1_000.0  # m/s: 3 ppm of an oscillator
 _PRIOR_INTERSYSTEM = 100.0  # m
 # Time constant (s) of the averages for alignment.
 _LEVEL_TIME = 1.0
+# A velocity whose σ (m/s) is larger says nothing of the acceleration since.
+_KNOWN_VELOCITY = 3.0
+_GRAVITY = 9.8  # m/s²
 # Velocities further apart (s) say nothing of the acceleration that the averaged force contains.
 _LEVEL_INTERVAL = 2.5
 MAX_STEP = 10.0  # s: a longer silence of the IMU ends the solution
@@ -256,13 +254,19 @@ class NavigationFilter:
         P, p = self.covariance, self.params
         sigma = math.sqrt(max(P[at.VEL, at.VEL] + P[at.VEL + 1, at.VEL + 1], 0.0))
         before = self.state[at.BEFORE_VELOCITY : at.BEFORE_VELOCITY + 3]
-        acceleration = np.zeros(3)
-        if 0.0 < since < _LEVEL_INTERVAL and before.any():
-            acceleration = (self.nav[3:6] - before) / since
-        before[:] = self.nav[3:6]
+        acceleration, tilt = np.zeros(3), 0.0
+        if 0.0 < since < _LEVEL_INTERVAL:
+            measured = bool(before.any())
+            if measured:
+                acceleration = (self.nav[3:6] - before) / since
+                tilt = math.sqrt(2.0) * sigma / since / _GRAVITY
+            before[:] = self.nav[3:6] if sigma < _KNOWN_VELOCITY else 0.0
+            if not measured:
+                return
         attitude = start_attitude(self.state, p, self.nav[3:6], sigma, acceleration)
         if attitude is None:
             return
+        attitude[1][:2] = np.hypot(attitude[1][:2], tilt)
         self.nav[6:10] = attitude[0]
         for start, sigmas in (
             (at.ATT, attitude[1]),
@@ -290,11 +294,15 @@ class NavigationFilter:
 
     def _restart_position(self, stamp: int, rows: np.ndarray) -> None:
         fix = epoch_fix(self.state, self.channels, self.config, self.params, rows, 0.0)
-        self.state[at.LOST] = 0.0
         if fix is None:
             return
+        self.state[at.LOST] = 0.0
         if not self.tally.muted:
             self.tally.restart(f'most codes rejected for {self.params.lost_time:g} s: position starts anew')
+        if self.params.alignment == 'velocity':
+            # What held on to a false position has hardly the right attitude.
+            self._start_from(stamp, fix.geodetic, np.eye(3) * _PRIOR_POSITION**2, fix)
+            return
         nav = self.nav.copy()
         nav[:3] = fix.geodetic
         attitude = np.sqrt(np.maximum(np.diag(self.covariance)[at.ATT : at.ATT + 3], 1e-4))
@@ -368,8 +376,9 @@ class NavigationFilter:
         if self.coasting:
             hold_still(s)
         hold_to(s, self.channels, self._prediction, sec, nsec)
-        since = sec - s[at.FIX_SEC] if s[at.FIX_SEC] else 0.0
-        s[at.FIX_SEC] = sec
+        now = sec + 1e-9 * nsec
+        since = now - s[at.FIX_SEC] if s[at.FIX_SEC] else 0.0
+        s[at.FIX_SEC] = now
         if not self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'gnss/fix'):
             s[at.LOST] += since
         self._align(since)
@@ -435,7 +444,10 @@ class NavigationFilter:
         clock = (fix.position.clock, 0.0) if fix is not None else (0.0, 0.0)
         if fix is not None and fix.velocity is not None:
             clock = (clock[0], fix.velocity.clock)
-        attitude = start_attitude(self.state, self.params, velocity, velocity_sigma)
+        attitude = None
+        if self.params.alignment != 'velocity':  # which needs the acceleration, hence another epoch
+            attitude = start_attitude(self.state, self.params, velocity, velocity_sigma)
+        self.state[at.BEFORE_VELOCITY : at.BEFORE_VELOCITY + 3] = 0.0
         if attitude is None:
             level = np.array([1.0, 0.0, 0.0, 0.0])
             sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, [0.0] * 3]
@@ -454,6 +466,9 @@ class NavigationFilter:
         origin = s[at.ORIGIN : at.ORIGIN + 3].copy()
         enu = enu_from_ecef(ecef_from_geodetic(nav[0], nav[1], nav[2]), origin[0], origin[1], origin[2])
         rate, covariance = s[at.RATE : at.RATE + 3].copy(), self.covariance[:9, :9].copy()
+        if self.coasting:
+            covariance[6:9] = covariance[:, 6:9] = 0.0
+            covariance[6:9, 6:9] = np.eye(3) * math.pi**2  # no attitude yet
         bias = np.trace(self.covariance[at.GYR : at.GYR + 3, at.GYR : at.GYR + 3])
         # White noise of one sample: its density over the IMU's interval.
         white = self.params.gyro_noise**2 / max(s[at.IMU_STEP], 1e-3)

@@ -291,10 +291,11 @@ def gnss_epoch(state, channels, config, rows, sec, nsec, report, summary):
         for i in range(m):
             if barred >= 0 and use[i] == barred:
                 report[i, REPORT_CODE] = ROW_DRIFTS
-    if codes >= 4 and 2 * count < codes:
+    # In a street canyon epochs with a few satellites alternate: one that fits by chance is not recovery.
+    if codes >= 2 and 2 * count < codes:
         state[LOST] += since
-    else:
-        state[LOST] = 0.0
+    elif codes >= 2:
+        state[LOST] = max(0.0, state[LOST] - since)
     if state[LOST] > config[LOST_TIME]:
         summary[SUM_RESTART] = 1.0
     mat_nb = matrix_from_quat(nav[6:10])

@@ -48,7 +48,7 @@ class GpsStream:
         self._messages = MessageCutter(self.rejected, UBX, NMEA)
 
     def feed(self, data: bytes, arrival: int = 0) -> Iterator[GpsSpeed]:
-        """Take bytes that came at `arrival` (ns), in pieces of any size; yield the speeds completed by them."""
+        """Take bytes that came at `arrival` (ns), in pieces of any size; yield the speeds they complete."""
         # What is left over of the bytes before began with them, what follows a message came just now.
         began = self._began if self._messages.pending else arrival
         for message in self._messages.feed(data):

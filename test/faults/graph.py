@@ -211,7 +211,7 @@ class Graph:
             if missing := wanted - self._following.members():
                 return f'{min(missing)} is not in lock-step'
             if unmatched := self._following.unmatched():
-                return f'{unmatched} has no publisher'
+                return unmatched
         for publisher in self._publishers.values():
             if publisher.get_subscription_count() < self.probe.node.count_subscribers(publisher.topic_name):
                 return f'a subscriber of {publisher.topic_name}'

@@ -11,7 +11,7 @@ from bag_tools.bag import BagReader
 from node_core.testing import Probe
 
 # What every node has; drawn, it would hide what the graph does.
-_COMMON = ('/diagnostics', '/rosout', '/parameter_events', '/lockstep/progress', '/clock')
+_COMMON = ('/diagnostics', '/rosout', '/parameter_events', '/lockstep/progress', '/lockstep/links', '/clock')
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from std_msgs.msg import String
 
 from bag_tools.bag import BagError
@@ -40,7 +40,9 @@ class LockStep:
         self._expected: dict[tuple[str, str], int] = {}
         self._acknowledged: dict[tuple[str, str], int] = {}
         self._between: dict[str, Any] = {}
+        self._links: dict[str, dict[str, int]] = {}
         self._members: frozenset[str] = frozenset()
+        node.create_subscription(String, lockstep.LINKS, self._on_links, lockstep.LINKS_QOS)
         self._progress = node.create_subscription(String, lockstep.TOPIC, self._on_progress, lockstep.QOS)
 
     def members(self) -> frozenset[str]:
@@ -51,6 +53,7 @@ class LockStep:
     def look(self, own_topics: set[str]) -> None:
         """Find who follows what by now; `own_topics` are the player's. Call again when the graph changes."""
         self._members = self.members()
+        self._links = {name: links for name, links in self._links.items() if name in self._members}
         for topic in sorted(own_topics):
             self._follow(topic)
         for topic, types in self._node.get_topic_names_and_types():
@@ -81,10 +84,31 @@ class LockStep:
         return dict(self._followers)
 
     def unmatched(self) -> str:
-        """Return what the player listens to but has no publisher for, '' when nothing."""
-        progress = self._progress.get_publisher_count() >= len(self._members)
-        waiting = [t for t, s in self._between.items() if not s.get_publisher_count()]
-        return ', '.join(waiting if progress else [lockstep.TOPIC, *waiting])
+        """Return which topic is not yet linked everywhere, '' when all are."""
+        if self._progress.get_publisher_count() < len(self._members):
+            return f"'{lockstep.TOPIC}' is not linked to every node"
+        for topic, subscription in self._between.items():
+            if not subscription.get_publisher_count():
+                return f"'{topic}' has no publisher"
+            for writer in self._node.get_publishers_info_by_topic(topic):
+                name = _full_name(writer)
+                if name not in self._members:
+                    continue
+                readers = self._readers(topic, writer.qos_profile)
+                linked = self._links.get(name, {}).get(topic, 0)
+                if linked < readers:
+                    return f"'{topic}' of '{name}' has {linked} of {readers} readers"
+        return ''
+
+    def _readers(self, topic: str, offered: QoSProfile) -> int:
+        """Return how many known subscriptions take what is offered."""
+        infos = self._node.get_subscriptions_info_by_topic(topic)
+        checks = (qos_check_compatible(offered, info.qos_profile)[0] for info in infos)
+        return sum(check != QoSCompatibility.ERROR for check in checks)
+
+    def _on_links(self, line: String) -> None:
+        name, links = lockstep.parse_links(line.data)
+        self._links[name] = links
 
     def begin(self) -> None:
         """Count from now on: what came before the first message has nothing to do with it."""

@@ -160,7 +160,7 @@ class Player(Node):
             if not self._lockstep.members():
                 return 'no node runs in lock-step (-p lockstep:=true)'
             if waiting := self._lockstep.unmatched():
-                return f'{waiting} has no publisher that fits yet'
+                return waiting
         return ''
 
     def play(self, progress: Callable[[float], None]) -> None:

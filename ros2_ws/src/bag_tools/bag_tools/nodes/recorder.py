@@ -21,8 +21,7 @@ from bag_tools.bag import BagError, BagWriter, jazzy, reliable_qos
 from bag_tools.nodes.definitions import installed_store
 from bag_tools.record import RecordOptions, StopRule, has_header, header_stamp
 from node_core.executor import DirectExecutor
-from node_core.lockstep import TOPIC as LOCKSTEP_TOPIC
-from node_core.lockstep import Acknowledger
+from node_core.lockstep import LINKS, TOPIC, Acknowledger
 from node_core.message_types import message_class
 
 # Deep enough for ten seconds of a 1 kHz topic while the disk stalls.
@@ -48,7 +47,7 @@ class Recorder(Node):
     def look(self) -> list[str]:
         """Subscribe to what is there by now; return the named topics that are still missing."""
         types = dict(self.get_topic_names_and_types())
-        names = self._wanted or sorted(set(types) - {LOCKSTEP_TOPIC})
+        names = self._wanted or sorted(set(types) - {TOPIC, LINKS})
         for topic in names:
             # A publisher may be known before the type list that was read holds its topic.
             known = topic in types and self.count_publishers(topic) > 0

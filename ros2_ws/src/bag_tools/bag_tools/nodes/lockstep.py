@@ -23,6 +23,8 @@ from node_core import lockstep
 from node_core.message_types import message_class
 
 _DEPTH = 1000
+# What rmw calls the node of an endpoint until it has learned its name.
+_NAMELESS = '_NODE_NAME_UNKNOWN_'
 
 
 def _full_name(info: Any) -> str:
@@ -48,7 +50,7 @@ class LockStep:
     def members(self) -> frozenset[str]:
         """Return the full names of the nodes that take part."""
         infos = self._node.get_publishers_info_by_topic(lockstep.TOPIC)
-        return frozenset(_full_name(i) for i in infos) - {self._name}
+        return frozenset(_full_name(i) for i in infos if i.node_name != _NAMELESS) - {self._name}
 
     def look(self, own_topics: set[str]) -> None:
         """Find who follows what by now; `own_topics` are the player's. Call again when the graph changes."""
@@ -87,6 +89,11 @@ class LockStep:
         """Return which topic is not yet linked everywhere, '' when all are."""
         if self._progress.get_publisher_count() < len(self._members):
             return f"'{lockstep.TOPIC}' is not linked to every node"
+        ends = self._node.get_publishers_info_by_topic(lockstep.TOPIC)
+        for topic in self._followers:
+            ends += self._node.get_subscriptions_info_by_topic(topic)
+        if any(end.node_name == _NAMELESS for end in ends):
+            return 'a node is not known by its name yet'
         for topic, subscription in self._between.items():
             if not subscription.get_publisher_count():
                 return f"'{topic}' has no publisher"

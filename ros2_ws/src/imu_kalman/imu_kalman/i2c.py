@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
@@ -222,7 +223,7 @@ class ChipParams(Protocol):
 _Params = TypeVar('_Params', bound=ChipParams)
 
 
-class ChipDriver(Generic[_Params]):
+class ChipDriver(ABC, Generic[_Params]):
     """What the drivers of motion sensors share: clocks, the link to the bus, how the chip is mounted.
 
     `clock` dates the samples (ns), `steady` measures waiting (ns); both may be the same function.
@@ -247,10 +248,10 @@ class ChipDriver(Generic[_Params]):
         self._rotation = matrix_from_quat(quat_from_euler(*params.mounting))
         self._begin()
 
+    @abstractmethod
     def _address(self) -> int:
         """Return the chip's 7-bit address."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _begin(self) -> None:
         """Set up what is the driver's own."""
-        raise NotImplementedError

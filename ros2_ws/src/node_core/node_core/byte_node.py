@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import Any
 
@@ -25,7 +26,7 @@ _LAST_WORDS = 5.0  # s, for subscribers to take the last samples of a recording
 _JOIN = 5.0  # s
 
 
-class SourceNode(WorkspaceNode):
+class SourceNode(WorkspaceNode, ABC):
     """Reads a source in a thread; a recording goes by its own times, a lost device is opened again.
 
     Subclasses say where items come from (`open`), make samples of them (`samples`), publish those
@@ -62,13 +63,13 @@ class SourceNode(WorkspaceNode):
         self._thread.start()
         self.create_timer(_END_CHECK, self._end, clock=self.steady_clock)
 
+    @abstractmethod
     def open(self) -> Source[Any]:
         """Return the open source; SourceError if it cannot be, ParameterError if it never will."""
-        raise NotImplementedError
 
+    @abstractmethod
     def samples(self, item: Any, arrival: int) -> Iterable[Any]:
         """Return the samples that `item`, which came at `arrival` (ns, the node's clock), completes."""
-        raise NotImplementedError
 
     def rest(self) -> Iterable[Any]:
         """Return the samples that were held back, at the end of a recording."""
@@ -78,9 +79,9 @@ class SourceNode(WorkspaceNode):
         """Return when (ns) a sample of a recording is due."""
         return sample.stamp
 
+    @abstractmethod
     def publish(self, sample: Any) -> bool:
         """Publish one sample; return whether it shows that the device does what it should."""
-        raise NotImplementedError
 
     def report(self) -> tuple[bytes, str, dict[str, Any]]:
         """Return level, text and values for /diagnostics, apart from what the source itself is like."""

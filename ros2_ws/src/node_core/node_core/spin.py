@@ -39,6 +39,28 @@ def missing_params_file(argv: list[str]) -> str | None:
     return next((value for value in named if not os.access(value, os.R_OK)), None)
 
 
+class Interrupt:
+    """The handler of Ctrl-C in a process with a ROS context; install it before ``rclpy.init``.
+
+    rclpy's handler calls it, then ends the context. An exception raised here comes up wherever the process
+    is, also within rclpy's C++, which makes another one of it and loses the message it was converting. So
+    once the process watches its context, as executors do, set `watched`: only a second Ctrl-C raises then.
+    """
+
+    def __init__(self) -> None:
+        self.received, self.watched = False, False
+
+    def __call__(self, _number: int, _frame: Any) -> None:
+        again, self.received = self.received, True
+        if again or not self.watched:
+            raise KeyboardInterrupt
+
+    def install(self) -> Interrupt:
+        """Take over SIGINT; return self."""
+        signal.signal(signal.SIGINT, self)
+        return self
+
+
 def run(build: Callable[[], Any], argv: list[str] | None = None) -> int:
     """Build a node, or a list of nodes, and spin until told to stop; return the exit code.
 
@@ -63,8 +85,7 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
     from kalman_core.parameters import ParameterError
     from node_core.executor import DirectExecutor
 
-    # rclpy calls the handler that it finds, which has to be Python's own.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    interrupt = Interrupt().install()
     missing = missing_params_file(argv)
     if missing is not None:
         return fail(f"parameter file '{missing}' cannot be read; expected a YAML file")
@@ -82,11 +103,12 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
         gc.freeze()
         for node in nodes:
             executor.add_node(node)
+        interrupt.watched = True
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception as error:
-        if not rclpy.ok():  # Ctrl-C while the node was being made: whatever call met it failed in its own way
+        if interrupt.received or not rclpy.ok():  # whatever call met the signal failed in its own way
             return 0
         if isinstance(error, ParameterError | ParameterException | RCLError):
             return fail(_one_line(error))

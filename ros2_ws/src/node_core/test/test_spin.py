@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command lines as users type them."""
+"""Command lines as users type them; Ctrl-C."""
+
+from pathlib import Path
 
 import pytest
 
 from node_core.spin import missing_params_file, ros_arguments
-from node_core.testing import parameter_text
+from node_core.testing import Process, parameter_text
 
 
 @pytest.mark.parametrize(
@@ -34,3 +36,10 @@ def test_a_missing_parameter_file_is_named(tmp_path):
     gone = str(tmp_path / 'gone.yaml')
     assert missing_params_file(['n', '--ros-args', '--params-file', str(there)]) is None
     assert missing_params_file(['n', '--params-file', str(there), '--params-file', gone]) == gone
+
+
+def test_ctrl_c_within_a_call_of_ros_loses_no_message():
+    # An exception of the handler would become "Unable to convert call argument" there.
+    with Process.script(Path(__file__).parent / 'interrupted_node.py') as node:
+        assert node.wait() == 0, node.output
+        assert node.output.split() == ['heard'] * 3

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 
 # Imports stand in the functions: they take a second, and Ctrl-C in that second has to be as clean as later.
@@ -19,10 +21,13 @@ def run(argv: list[str]) -> int:
     from bag_tools.cli import Progress
     from bag_tools.nodes.player import Player
     from bag_tools.play import options_from
+    from node_core.spin import Interrupt
 
     own, ros = rosargs.split(argv)
     options = options_from(own)
     with BagReader(options.bag) as reader:
+        interrupt = Interrupt().install()
+        interrupt.watched = True
         rclpy.init(args=['--ros-args', *ros] if ros else [])
         node = None
         try:
@@ -45,12 +50,11 @@ def run(argv: list[str]) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point."""
-    try:
-        from bag_tools.cli import guarded
+    # An interrupted import of a compiled module does not always surface as KeyboardInterrupt.
+    signal.signal(signal.SIGINT, lambda _number, _frame: os._exit(0))
+    from bag_tools.cli import guarded
 
-        return guarded('play', run, argv, interrupted=0)
-    except KeyboardInterrupt:
-        return 0
+    return guarded('play', run, argv, interrupted=0)
 
 
 if __name__ == '__main__':

@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
@@ -46,7 +47,7 @@ class SourceNode(WorkspaceNode, ABC):
         self._error = ''
         self._state = OK
         self._connections, self._published = 0, 0
-        self._refused: dict[str, int] = {}
+        self._refused: Counter[str] = Counter()
         self._arrived = time.monotonic()
         self._over = False
         self._failure: BaseException | None = None
@@ -174,17 +175,16 @@ class SourceNode(WorkspaceNode, ABC):
     def diagnose(self) -> DiagnosticArray:
         """Report the source, what was read, and what was refused with its reason."""
         level, text, values = self.report()
-        rejected = dict(self.rejected())
-        fresh = {reason: count - self._refused.get(reason, 0) for reason, count in rejected.items()}
+        rejected = Counter(self.rejected())
+        fresh = rejected - self._refused
         self._refused = rejected
-        worst = max(fresh, key=lambda reason: fresh[reason], default='')
         age = time.monotonic() - self._arrived
         if self._error:
             level, text = ERROR, self._error
         elif not self.recorded and age > _STALE:
             level, text = ERROR, f'{self.source_name}: no {self.what} for {age:.0f} s'
-        elif worst and fresh[worst] > 0 and level == OK:
-            level, text = WARN, f'{sum(fresh.values())} rejected, mostly: {worst}'
+        elif fresh and level == OK:
+            level, text = WARN, f'{fresh.total()} rejected, mostly: {fresh.most_common(1)[0][0]}'
         self._say(level, text)
         counts = {'source': self.source_name, 'connections': self._connections, 'published': self._published}
         reasons = {f'rejected: {reason}': count for reason, count in sorted(rejected.items())}

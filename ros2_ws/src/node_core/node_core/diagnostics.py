@@ -8,8 +8,9 @@ ERROR: a required input is stale (older than its timeout) or never came.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ class InputState:
     count: int = 0
     arrived: int = 0
     reported_count: int = 0
-    reported_rejected: int = 0
+    reported_rejected: Counter[str] = field(default_factory=Counter)
 
 
 class Timings:
@@ -79,17 +80,17 @@ class Reporter:
     def _input_status(self, state: InputState, now: int, elapsed: float) -> DiagnosticStatus:
         port = state.port
         sensor = self._tally.sensor(port.topic)
-        rejected = sum(sensor.rejected.values())
-        new_rejected = rejected - state.reported_rejected
+        # What was withdrawn since (a late sample that fits after all) leaves a count smaller: none is new.
+        fresh = sensor.rejected - state.reported_rejected
         rate = (state.count - state.reported_count) / elapsed
-        state.reported_count, state.reported_rejected = state.count, rejected
+        state.reported_count, state.reported_rejected = state.count, sensor.rejected.copy()
         age = (now - state.arrived) * 1e-9 if state.count else float('inf')
         values: dict[str, Any] = {
             'rate_hz': rate,
             'age_s': age,
             'received': state.count,
             'accepted': sensor.accepted,
-            'rejected': rejected,
+            'rejected': sensor.rejected.total(),
         }
         if sensor.nis is not None:
             values['nis'] = sensor.nis
@@ -99,9 +100,8 @@ class Reporter:
         level, text = OK, 'ok'
         if port.timeout and age > port.timeout:
             level, text = ERROR, f'stale: no message for {age:.1f} s' if state.count else 'no message yet'
-        elif new_rejected:
-            worst = max(sensor.rejected, key=lambda reason: sensor.rejected[reason])
-            level, text = WARN, f'{new_rejected} rejected, mostly: {worst}'
+        elif fresh:
+            level, text = WARN, f'{fresh.total()} rejected, mostly: {fresh.most_common(1)[0][0]}'
         return status(f'{self._name}: {port.topic}', level, text, values)
 
     def report(self, extra: Mapping[str, Any]) -> DiagnosticArray:
@@ -119,7 +119,7 @@ class Reporter:
         values |= {
             'processing_p50_s': self.timings.percentile(50.0),
             'processing_p99_s': self.timings.percentile(99.0),
-            'restarts': len(self._tally.restarts),
+            'restarts': self._tally.restart_count,
         }
         if self._tally.restarts:
             values['last_restart'] = self._tally.restarts[-1]

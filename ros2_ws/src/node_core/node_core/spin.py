@@ -51,6 +51,7 @@ class Interrupt:
         self.received, self.watched = False, False
 
     def __call__(self, _number: int, _frame: Any) -> None:
+        """Take note, and raise KeyboardInterrupt where nobody looks at the context."""
         again, self.received = self.received, True
         if again or not self.watched:
             raise KeyboardInterrupt

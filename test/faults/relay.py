@@ -26,12 +26,12 @@ _FOREIGN_FRAME = 'somewhere_else'
 
 
 def _not_a_number(message: Any) -> None:
-    message.angular_velocity.x = math.nan
-    message.linear_acceleration.z = math.nan
+    set3(message.angular_velocity, (math.nan, 0.0, 0.0))
+    set3(message.linear_acceleration, (math.nan, 0.0, math.nan))
 
 
 def _infinite(message: Any) -> None:
-    message.linear_acceleration.y = math.inf
+    set3(message.linear_acceleration, (math.inf, -math.inf, 0.0))
 
 
 def _huge(message: Any) -> None:

@@ -57,6 +57,7 @@ class System:
     `warm`, `fault` and `recovery` are lengths of the bag (s): before the fault, under it, and what the
     estimator is given to be back within `tolerance` of an undisturbed run. `value` takes the numbers out of
     an output, `distance` compares two of them. `live` names (node, parameter, good, bad value) to change.
+    With `one_axis` only one component of the specific force is used, which may well be zero.
     """
 
     name: str
@@ -71,6 +72,7 @@ class System:
     value: Callable[[Any], tuple[float, ...]]
     distance: Callable[[tuple[float, ...], tuple[float, ...]], float]
     live: tuple[str, str, float, float]
+    one_axis: bool = False
 
     @property
     def main(self) -> NodeSpec:
@@ -185,6 +187,7 @@ _EV = System(
     value=_speed,
     distance=lambda a, b: abs(a[0] - b[0]),
     live=('velocity_estimator', 'gps_noise', 0.2, -1.0),
+    one_axis=True,
 )
 _INS = System(
     'ins_gps',

@@ -101,6 +101,9 @@ class AttitudeFilter:
         if not (abs(ax) <= limit and abs(ay) <= limit and abs(az) <= limit):
             self.tally.reject(_IMU, 'specific force out of range')
             return []
+        if ax == 0.0 and ay == 0.0 and az == 0.0:  # a dead sensor: a living one has noise
+            self.tally.reject(_IMU, 'zero specific force')
+            return []
         prompt, settled = self._buffer.feed(0, sample)
         out: list[Any] = []
         if prompt is not None:

@@ -51,6 +51,10 @@ def _within(rows: np.ndarray, limit: float) -> np.ndarray:
     return (x <= limit) & (y <= limit) & (z <= limit)
 
 
+def _alive(rows: np.ndarray, limit: float) -> np.ndarray:
+    return _within(rows, limit) & (rows != 0.0).any(axis=1)
+
+
 def _in_order(stamp: np.ndarray) -> np.ndarray:
     fresh = np.ones(len(stamp), dtype=np.bool_)
     if len(stamp) > 1:
@@ -90,8 +94,8 @@ def prepare(
             raise ValueError(f'{name} has shape {array.shape}, expected ({count}, 3)')
         arrays.append(array)
     gyr, acc, mag = arrays
-    usable = _in_order(stamp) & _within(gyr, params.max_rate) & _within(acc, params.max_force)
-    mag_usable = _in_order(mag_stamp) & _within(mag, params.max_field) & (mag != 0.0).any(axis=1)
+    usable = _in_order(stamp) & _within(gyr, params.max_rate) & _alive(acc, params.max_force)
+    mag_usable = _in_order(mag_stamp) & _alive(mag, params.max_field)
     sec, nanosec = _split(stamp)
     if mag_stamp is stamp:
         mag_sec, mag_nanosec = sec, nanosec

@@ -78,6 +78,7 @@ def test_arrays_skip_what_the_stream_rejects():
     gyr, acc, mag, stamp = ship.gyr.copy(), ship.acc.copy(), ship.mag.copy(), ship.stamp.copy()
     gyr[500] = np.nan
     acc[600, 1] = 1e9
+    acc[650] = 0.0
     mag[700] = np.inf
     mag[701] = 0.0
     stamp[800] = stamp[799]
@@ -197,6 +198,22 @@ def test_a_gap_starts_attitude_anew_and_keeps_the_bias():
     assert estimator.tally.restarts == ['attitude from one sample after a gap']
     assert (rotation(last.orientation) * other.inv()).magnitude() < math.radians(2)
     np.testing.assert_allclose(estimator.state[layout.BIAS : layout.BIAS + 3], bias, atol=2e-4)
+
+
+def test_a_dead_accelerometer_is_no_free_fall():
+    estimator, healthy = AttitudeFilter(), AttitudeFilter()
+    tilted = Rotation.from_euler('x', 20.0, degrees=True)
+    pairs = list(still(tilted, 5.0))
+    last = [feed(estimator, dead(pairs)), feed(healthy, pairs)]
+    assert estimator.tally.sensors['imu/data_raw'].rejected['zero specific force'] == len(pairs) // 3
+    apart = rotation(last[0].orientation) * rotation(last[1].orientation).inv()
+    assert math.degrees(apart.magnitude()) < 0.1
+
+
+def dead(pairs):
+    """Yield the samples, every third without any force."""
+    for i, (imu, mag) in enumerate(pairs):
+        yield (ImuSample(imu.stamp, imu.gyr, (0.0, 0.0, 0.0)) if i % 3 == 2 else imu), mag
 
 
 def test_single_wild_samples_are_bridged_and_a_lasting_step_is_believed():

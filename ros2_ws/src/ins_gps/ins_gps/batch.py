@@ -11,6 +11,7 @@ from numba import njit
 
 from ins_gps import layout as at
 from ins_gps.filter import MAX_STEP, NANOSECONDS, NavigationFilter
+from ins_gps.plausibility import all_plausible
 from ins_gps.prediction import imu_step
 from ins_gps.samples import Corrections, GnssEpoch, ImuSample
 from ins_gps.strapdown import NAV
@@ -37,8 +38,8 @@ def advance(
     before = int(s[at.SEC]) * NANOSECONDS + int(s[at.NSEC])
     silent = max(int(stamps[0]) - before, int(np.diff(stamps).max(initial=0))) > MAX_STEP * NANOSECONDS
     constrained = params.zero_velocity or params.non_holonomic
-    finite = bool(np.isfinite(rate).all() and np.isfinite(force).all())
-    if navigation.running and finite and not (constrained or silent or params.mode == 'gps'):
+    special = constrained or silent or params.mode == 'gps'
+    if navigation.running and all_plausible(rate, force) and not special:
         sec, nsec = (stamps // NANOSECONDS).astype(float), (stamps % NANOSECONDS).astype(float)
         imu_series(s, navigation.channels, navigation.config, sec, nsec, rate, force, out)
         return

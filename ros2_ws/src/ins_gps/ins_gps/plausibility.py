@@ -32,7 +32,15 @@ def imu_fault(sample: ImuSample) -> str:
         return 'not finite'
     if np.abs(sample.rate).max() > _RATE_LIMIT or np.abs(sample.force).max() > _FORCE_LIMIT:
         return 'implausible value'
+    if not sample.force.any():
+        return 'zero specific force'
     return ''
+
+
+def all_plausible(rate: np.ndarray, force: np.ndarray) -> bool:
+    """Return whether `imu_fault` finds nothing in any row of rate (rad/s) and force (m/s²), both (N, 3)."""
+    bounded = (np.abs(rate) <= _RATE_LIMIT).all() and (np.abs(force) <= _FORCE_LIMIT).all()
+    return bool(bounded and force.any(axis=1).all())
 
 
 def navigation_fault(values: np.ndarray, covariance: np.ndarray) -> str:

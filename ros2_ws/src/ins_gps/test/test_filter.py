@@ -184,6 +184,7 @@ def test_bad_samples_are_counted_and_harmless():
     navigation.initialise(int(run.stamps[0]), run.truth[0], START_SIGMAS)
     stamps = run.stamps
     navigation.imu(ImuSample(int(stamps[1]), np.full(3, np.nan), run.force[0]))
+    navigation.imu(ImuSample(int(stamps[1]), run.rate[0], np.zeros(3)))
     navigation.imu(ImuSample(int(stamps[2]), run.rate[1], run.force[1]))
     navigation.imu(ImuSample(int(stamps[2]), run.rate[1], run.force[1]))
     rows = run.epochs[1].rows.copy()
@@ -194,6 +195,7 @@ def test_bad_samples_are_counted_and_harmless():
     navigation.gnss(GnssEpoch(int(stamps[3]), rows))
     navigation.gnss(GnssEpoch(int(stamps[4]), np.empty((0, rows.shape[1]))))
     navigation.gnss(GnssEpoch(int(stamps[4]), rows))
-    assert navigation.tally.sensor('imu/data_raw').rejected == {'not finite': 1, 'not newer than the last': 1}
+    expected = {'not finite': 1, 'zero specific force': 1, 'not newer than the last': 1}
+    assert navigation.tally.sensor('imu/data_raw').rejected == expected
     assert navigation.tally.sensor('gnss/observations').rejected['unknown satellite or signal'] == 2
     assert np.isfinite(navigation.state).all()

@@ -186,7 +186,7 @@ _EV = System(
     unit='m/s',
     value=_speed,
     distance=lambda a, b: abs(a[0] - b[0]),
-    live=('velocity_estimator', 'gps_noise', 0.2, -1.0),
+    live=('velocity_estimator', 'gps_sigma', 0.2, -1.0),
     one_axis=True,
 )
 _INS = System(

@@ -7,6 +7,8 @@ import os
 import tempfile
 import time
 from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from bag_tools.bench import Options, Row
@@ -14,6 +16,7 @@ from bag_tools.sweep_plan import Scoring, Source, Task, choices, plan
 from bag_tools.sweep_run import Runner, complete, on_dask, serial
 from bag_tools.sweep_store import Store
 from bag_tools.sweep_task import Row as Result
+from bag_tools.sweep_task import run_task
 
 PACKAGE = 'workspace_harness'
 _SEEDS, _QUICK_SEEDS = 50, 2
@@ -41,6 +44,22 @@ def _warm(run: Runner, tasks: list[Task]) -> None:
         pass
 
 
+def _pooled(tasks: list[Task], workers: int) -> float:
+    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
+        list(pool.map(run_task, tasks[: 2 * workers]))  # loads the kernels
+        started = time.perf_counter()
+        list(pool.map(run_task, tasks))
+        return time.perf_counter() - started
+
+
+def _ceiling(tasks: list[Task]) -> float:
+    """Return what the machine allows: bare processes side by side over one of them.
+
+    Two cores that share their units, as those of many virtual machines do, are not twice one.
+    """
+    return _pooled(tasks, 1) / _pooled(tasks, _WORKERS)
+
+
 def measure(options: Options) -> Iterable[Row]:
     """Yield the number of rows that differ and the speed-up on two workers."""
     if not options.live:
@@ -53,6 +72,7 @@ def measure(options: Options) -> Iterable[Row]:
         with on_dask(workers=min(_WORKERS, os.cpu_count() or 1)) as (run, _):
             _warm(run, tasks[: 2 * _WORKERS])
             together, rows = _timed(tasks, folder / 'dask', run)
+    ceiling = _ceiling(tasks[: 4 if options.quick else 60])
     differing = sum(a != b for a, b in zip(rows, expected, strict=True))
     yield Row(PACKAGE, f'sweep of {len(tasks)} runs: rows unlike the serial run', differing, 'rows', bar=0)
     yield Row(
@@ -62,5 +82,5 @@ def measure(options: Options) -> Iterable[Row]:
         '1',
         bar=1.8,
         better='higher',
-        reference={'serial [s]': alone},
+        reference={'of this machine': ceiling, 'serial [s]': alone},
     )

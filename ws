@@ -18,6 +18,7 @@ usage: ./ws COMMAND [arguments]
   test [PACKAGE …]    install what is missing, build with colcon, run the tests (pytest arguments may follow)
   sweep …             many runs of an estimator over parameters, bags and seeds (ros2 run bag_tools sweep)
   bench [PACKAGE …]   measure every figure against its bar and its peers (docs/results/bench.json)
+  audit               known weaknesses of the pinned packages; exit code 1 when there are any
   coverage [PACKAGE …]  statement and branch coverage of the algorithms, kernels included
   mutation [MODULE …]   do the tests of kalman_core notice small changes?
   bags [--check]      make the fixtures in bags/ from their seeds, or check them against the manifest
@@ -143,6 +144,20 @@ setup_bench() {
   export LD_LIBRARY_PATH
 }
 
+audit() {
+  local lock="$WS_ROOT/requirements/lock-audit.txt" folder="$WS_ROOT/.venv-audit" stamp
+  stamp="$(python --version) $(fingerprint "$lock")"
+  if [ "$(cat "$folder/.ws-stamp" 2>/dev/null)" != "$stamp" ]; then
+    python -m venv --clear "$folder"
+    if ! (install_pins "$folder" "$lock"); then
+      say "audit: pip-audit cannot be installed, nothing was looked up"
+      return 0
+    fi
+    echo "$stamp" >"$folder/.ws-stamp"
+  fi
+  "$folder/bin/python" "$WS_ROOT/tools/audit.py"
+}
+
 setup_environment() {
   export AMENT_PREFIX_PATH="${AMENT_PREFIX_PATH:+$AMENT_PREFIX_PATH:}$VIRTUAL_ENV"
   # Discovery takes 0.1 s instead of 2 s, and no shared-memory files are left behind.
@@ -217,6 +232,7 @@ lock() {
   "$tool/bin/uv" pip compile "${options[@]}" base.in test.in -o lock-jazzy.txt
   "$tool/bin/uv" pip compile "${options[@]}" -c lock.txt bench.in -o lock-bench.txt
   "$tool/bin/uv" pip compile "${options[@]}" -c lock.txt sweep.in -o lock-sweep.txt
+  "$tool/bin/uv" pip compile "${options[@]}" audit.in -o lock-audit.txt
   rm -rf "$tool"
 }
 
@@ -238,6 +254,7 @@ main() {
       exec python -m bag_tools.readme_tables "$@"
       ;;
     lint) prepare && lint ;;
+    audit) setup_venv && audit ;;
     build) prepare ;;
     lock) setup_venv && lock ;;
     shell)
@@ -246,7 +263,7 @@ main() {
       export PS1='(ws) \w\$ '
       exec bash --norc
       ;;
-    clean) rm -rf "$VENV" "$VENV_BENCH" "$WS_ROOT/ros2_ws/"{build,install,log,build.log} "$WS_ROOT/out" ;;
+    clean) rm -rf "$VENV" "$VENV_BENCH" "$WS_ROOT/.venv-audit" "$WS_ROOT/ros2_ws/"{build,install,log,build.log} "$WS_ROOT/out" ;;
     *) usage >&2 && die "unknown command '$command'" ;;
   esac
 }

@@ -30,7 +30,7 @@ from workspace_harness.make_bags import root
 
 # What cannot run here, each with its reason. A pattern is searched in the command.
 EXEMPT: Mapping[str, str] = {
-    r'^\./ws (run|test|bench|lint|docs|build|bags|lock|clean)\b': 'the workspace itself; CI runs these words',
+    r'^\./ws (run|test|bench|lint|audit|docs|build|bags|lock|clean)\b': 'the workspace itself; CI runs them',
     r'^\./ws shell$': 'the test is such a shell',
     r'workspace_harness\.documents': 'the test itself',
     r'/opt/ros/jazzy': 'needs a ROS 2 Jazzy installation',

@@ -207,6 +207,13 @@ def store(path: Path, records: list[dict[str, Any]]) -> None:
     temporary.replace(path)
 
 
+def keep(rows: Iterable[Row], seconds: float) -> None:
+    """Store rows that another command than `./ws bench` has measured in `seconds` altogether."""
+    path = project_root() / RESULTS
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    store(path, merge(load_records(path), [record(row, seconds, date, machine()) for row in rows]))
+
+
 def line(row: Row, seconds: float) -> str:
     """Return one aligned line of the progress table."""
     sign = '≤' if row.better == 'lower' else '≥'

@@ -189,7 +189,7 @@ def measure(options: Options) -> Iterable[Row]:
         for system in _systems(Path(folder)):
             ours, nodes = _real(system, seconds)
             bare = _bare(system, nodes, ours.counts, seconds)
-            name = f'graph of {system.package}, {len(nodes)} nodes at {system.rate} Hz'
+            name = f'graph of {system.package} at {system.rate} Hz'
             yield Row(
                 PACKAGE,
                 f'{name}: load',

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every command in every document runs, and prints what the document shows."""
 
+import ast
+import builtins
 import re
 import subprocess
 import sys
@@ -97,3 +99,38 @@ def test_nodes_are_told_from_tools():
     assert not stays('ros2 run bag_tools record out imu/data --count 3')
     assert not stays('ros2 run bag_tools score a b c')
     assert not stays('ros2 run bag_tools play x.mcap')
+
+
+PYTHON = re.compile(r'^```python\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+CODE = [
+    (name, code) for name in NAMES for code in PYTHON.findall((root() / name).read_text(encoding='utf-8'))
+]
+
+
+def readers_own(tree):
+    """Return the names that a block uses and does not make: they stand for the reader's data."""
+    names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
+    made = {node.id for node in names if isinstance(node.ctx, ast.Store)} | set(dir(builtins))
+    made |= {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            made |= {alias.asname or alias.name.split('.')[0] for alias in node.names}
+    return {node.id for node in names} - made
+
+
+@pytest.mark.parametrize(('name', 'code'), CODE, ids=[f'{name}-{i}' for i, (name, _) in enumerate(CODE)])
+def test_code_of_a_document_imports_what_is_there_and_runs_where_it_is_whole(
+    tmp_path, monkeypatch, name, code
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'bags').symlink_to(root() / 'bags')
+    (tmp_path / 'out').mkdir()
+    tree = ast.parse(code)
+    if readers_own(tree):
+        tree.body = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    exec(compile(tree, name, 'exec'), {})
+
+
+def test_some_code_of_documents_is_whole():
+    whole = [name for name, code in CODE if not readers_own(ast.parse(code))]
+    assert len(whole) >= 4, whole

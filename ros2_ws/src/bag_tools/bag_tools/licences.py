@@ -109,7 +109,9 @@ def licence_table(lock: Path, body: str = '') -> str:
     known = dict(_rows(body))
     lines = list(HEAD)
     for name, versions in sorted(pins(lock).items()):
-        licence = licence_of(name, versions) or known.get(name)
+        # Where each Python has a version of its own, each would word the licence as its own does.
+        kept = known.get(name) if len(set(versions)) > 1 else None
+        licence = kept or licence_of(name, versions) or known.get(name)
         if licence is None:
             raise LicenceError(f"'{name}' states no licence here; write its row by hand once")
         lines.append(f'| {name} | {", ".join(dict.fromkeys(versions))} | {licence} |')

@@ -329,7 +329,7 @@ class VelocityEstimator:
         return self._on_speed(WHEEL_RATES, WheelSpeedSample(sample.stamp, speed))
 
     def _on_speed(self, port: int, sample: WheelSpeedSample) -> list | None:
-        if not abs(sample.speed) < SPEED_LIMIT:
+        if not abs(sample.speed) < SPEED_LIMIT or sample.variance == math.inf:
             self.tally.reject(NAMES[port], 'not finite or out of range')
             return None
         return self._feed(port, sample._replace(speed=abs(sample.speed)))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ev_velocity import velocity_memory as mem
@@ -175,6 +175,8 @@ HANDLERS = st.one_of(
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(HANDLERS, max_size=40))
+@example([('on_wheel_speed', WheelSpeedSample(0, 1.0, math.inf))])
+@example([('on_wheel_speed', WheelSpeedSample(0, 1.0, 1e308))])
 def test_whatever_comes_the_state_stays_finite(sequence):
     estimator = VelocityEstimator()
     for handler, sample in sequence:

@@ -95,12 +95,19 @@ def test_reset_service_restarts_the_estimator(graph):
     received = p.collect('geometry_msgs/msg/Vector3Stamped', 'mean')
     publisher = p.publisher('sensor_msgs/msg/Imu', 'imu/data_raw', process=process)
     p.until(lambda: p.node.count_publishers('/mean'), 'the output', process=process)
-    publisher.publish(imu(1.0, 8.0))
-    p.until(lambda: len(received) == 1, 'an estimate', process=process)
+
+    def answered():
+        # What is sent before the node has matched this publisher is lost, and only the node knows when.
+        publisher.publish(imu(1.0, 8.0))
+        return received
+
+    p.until(answered, 'an estimate', process=process)
+    publisher.publish(imu(1.5, 8.0))
+    p.until(lambda: received[-1].header.stamp.nanosec, 'the last of them', process=process)
     assert p.call('std_srvs/srv/Trigger', '/leak/reset').success
     publisher.publish(imu(2.0, 8.0))
-    p.until(lambda: len(received) == 2, 'another estimate', process=process)
-    assert [m.vector.x for m in received] == [4.0, 4.0]
+    p.until(lambda: received[-1].header.stamp.sec == 2, 'another estimate', process=process)
+    assert [m.vector.x for m in (received[0], received[-1])] == [4.0, 4.0]
 
 
 def test_live_parameters_are_checked_against_their_range(graph):

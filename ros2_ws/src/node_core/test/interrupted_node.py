@@ -3,6 +3,7 @@
 
 import signal
 import sys
+from itertools import count
 
 from node_core.spin import run
 
@@ -13,10 +14,16 @@ def build():
     from std_msgs.msg import String
 
     node = Node('interrupted')
-    said = String(data='heard')
+    said = String()
+    numbers = count()
     publisher = node.create_publisher(String, 'word', 10)
     node.create_subscription(String, 'word', lambda message: print(message.data, flush=True), 10)
-    node.create_timer(0.01, lambda: publisher.publish(said))
+
+    def say():
+        said.data = str(next(numbers))
+        publisher.publish(said)
+
+    node.create_timer(0.01, say)
     made, convert = [], String.__init__
 
     def interrupted(self, *args, **fields):

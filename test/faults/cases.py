@@ -16,7 +16,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from faults.checks import Listener, back_after, farthest, values
+from faults.checks import Listener, back_after, farthest, stamps_between, values
 from faults.graph import Graph
 from faults.relay import CORRUPTIONS
 from faults.systems import (
@@ -109,6 +109,10 @@ def _stop_and_continue(system: System, _folder: Path) -> str:
         graph.feed(end)
         graph.stopped = ''
         main.send(signal.SIGCONT)
+        # A player that went on at once, faster than any sensor, would fill the queue behind a message that
+        # the network lost while nobody read, until that is sent again.
+        newest = stamps_between(system.name, warm, end)[-1]
+        p.until(lambda: newest in graph.outputs, 'the newest output', process=main)
         graph.feed(back)
         count = back_after(graph, end, back)
         graph.stop()

@@ -8,6 +8,7 @@ each seam the world jumps, which no estimator may remember for ever.
 from __future__ import annotations
 
 import copy
+import gc
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -29,6 +30,8 @@ from workspace_harness.make_bags import root
 
 # Every so many outputs the covariance is looked at: its eigenvalues cost as much as a filter step.
 _CHECKED_EVERY = 50
+# Every so many repetitions of the fixture a fresh estimator goes through the same one.
+_FRESH_EVERY = 5
 # Lengths of flattened covariance matrices in messages, and their sizes.
 _SIZES = {9: 3, 36: 6}
 # Eigenvalues this much below the largest are rounding.
@@ -84,10 +87,11 @@ COURSES = (
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a run: processor time (s) per sample, resident memory (MB) at its end."""
+    """One part of a run: processor time (s) per sample, that of a fresh estimator, memory (MB) at its end."""
 
     hours: float
     seconds_per_sample: float
+    fresh_seconds_per_sample: float
     memory: float
 
 
@@ -108,9 +112,13 @@ class Soak:
 
     @property
     def slowdown(self) -> float:
-        """Time per sample in the last third over that in the first third; medians of the parts."""
+        """Time per sample in the last third over that in the first third; medians of the parts.
+
+        Each part counts in units of a fresh estimator in the same minutes: the machine may have more to do
+        at one end of the day than at the other.
+        """
         third = max(len(self.parts) // 3, 1)
-        times = [part.seconds_per_sample for part in self.parts]
+        times = [part.seconds_per_sample / part.fresh_seconds_per_sample for part in self.parts]
         return float(np.median(times[-third:]) / np.median(times[:third]))
 
 
@@ -180,34 +188,60 @@ def positive_definite(matrix: np.ndarray) -> bool:
     return bool(symmetric and np.linalg.eigvalsh(scaled)[0] > -_ROUNDING * len(scaled))
 
 
+class _Run:
+    """An estimator under way, with the processor time (s) and the messages it has taken."""
+
+    def __init__(self, course: Course, ports: Ports) -> None:
+        self.driver = EstimatorDriver(ports, build(ports.params, dict(course.params)))
+        self.spent = 0.0
+        self.samples = self.outputs = self.bad = 0
+        self._slots = {id(o): zeroed(o.type) for o in ports.outputs.values()}
+
+    def feed(self, rows: list[tuple[Input, Any, int]], shift: int) -> None:
+        """Put `rows` through, their stamps later by `shift` ns."""
+        started = time.process_time()
+        for port, message, stamp in rows:
+            set_stamp(message.header, stamp + shift)
+            for output, estimate in self.driver.feed(port, message):
+                out = self._slots[id(output)]
+                output.encode(estimate, out)
+                self.outputs += 1
+                if self.outputs % _CHECKED_EVERY == 0:
+                    self.bad += not all(positive_definite(c) for c in covariances(out))
+        self.spent += time.process_time() - started
+        self.samples += len(rows)
+
+    def seconds_per_sample(self) -> float:
+        """Return the time per message since the last call (s)."""
+        taken = self.spent / self.samples
+        self.spent, self.samples = 0.0, 0
+        return taken
+
+
 def soak(course: Course, hours: float, parts: int) -> Soak:
     """Run `course` for so many simulated hours, in `parts` equal parts of whole repetitions."""
     ports = find_ports(course.package, course.estimator)
     if ports.warm is not None:
         ports.warm()
-    driver = EstimatorDriver(ports, build(ports.params, dict(course.params)))
-    slots = {id(o): zeroed(o.type) for o in ports.outputs.values()}
+    aged = _Run(course, ports)
     rows = _messages(course, ports)
     stamps = np.array([stamp for _, _, stamp in rows])
     # The seam is as long as the slowest sensor's step can be: no stamp comes twice.
     length = int(stamps.max() - stamps.min()) + 1_000_000_000
     cycles = max(round(hours * 3.6e12 / length / parts), 1)
-    found, outputs, bad, shift = [], 0, 0, 0
+    found, shift = [], 0
     for _ in range(parts):
-        started = time.process_time()
-        for _ in range(cycles):
-            for port, message, stamp in rows:
-                set_stamp(message.header, stamp + shift)
-                for output, estimate in driver.feed(port, message):
-                    out = slots[id(output)]
-                    output.encode(estimate, out)
-                    outputs += 1
-                    if outputs % _CHECKED_EVERY == 0:
-                        bad += not all(positive_definite(c) for c in covariances(out))
+        fresh = _Run(course, ports)
+        for cycle in range(cycles):
+            aged.feed(rows, shift)
+            if cycle % _FRESH_EVERY == 0:
+                fresh.feed(rows, shift)
             shift += length
-        spent = (time.process_time() - started) / (cycles * len(rows))
-        found.append(Part(cycles * length / 3.6e12, spent, memory()))
-    state = getattr(driver.estimator, 'state', np.zeros(0))
+        times = aged.seconds_per_sample(), fresh.seconds_per_sample()
+        del fresh
+        gc.collect()  # an estimator that is gone is no growth of the other
+        found.append(Part(cycles * length / 3.6e12, *times, memory()))
+    state = getattr(aged.driver.estimator, 'state', np.zeros(0))
     # NaN marks what is not known yet in some states: infinity never is a state.
-    bad += int(np.isinf(state).any())
-    return Soak(course, tuple(found), parts * cycles * len(rows), outputs, bad)
+    bad = aged.bad + int(np.isinf(state).any())
+    return Soak(course, tuple(found), parts * cycles * len(rows), aged.outputs, bad)

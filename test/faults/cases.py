@@ -357,7 +357,7 @@ def _two_graphs(system: System, _folder: Path) -> str:
 
 @fault(
     'disk full while recording',
-    'the recorder says so in one line, code 2; nothing looks like a whole bag; others go on',
+    'the recorder says so and where it was in one line, code 2; nothing looks whole; others go on',
 )
 def _disk_full(system: System, folder: Path) -> str:
     warm, end, _ = _times(system)
@@ -380,7 +380,9 @@ def _disk_full(system: System, folder: Path) -> str:
     whole = [f.name for f in folder.iterdir() if f.suffix != '.partial']
     assert not whole, f'looks whole: {whole}'
     assert graph.outputs == offline_outputs(system, 0, graph.position)
-    return f"'{said[-1].removeprefix('record: ').replace(str(folder) + '/', '')}'"
+    text, _, kept = said[-1].removeprefix('record: ').replace(f'{folder}/', '').partition(';')
+    assert any(f.name in kept for f in folder.iterdir()), said[-1]
+    return f"'{text}', and where the rest is"
 
 
 @fault('garbage parameters at the start', 'one line that names the parameter, code 2')

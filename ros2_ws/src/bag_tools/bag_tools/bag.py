@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -285,12 +286,17 @@ def _looks_like_bag(path: Path) -> bool:
     return path.suffix in SUFFIXES if path.is_file() else (path / 'metadata.yaml').exists()
 
 
+def _words(error: OSError | sqlite3.Error) -> str:
+    return getattr(error, 'strerror', None) or str(error)
+
+
 class BagWriter:
     """Writes a bag under a temporary name beside `path` and renames it when all went well.
 
     `path` is a rosbag2 folder, or a single file when it ends in .mcap or .db3. `compression` 'zstd'
     compresses chunks (mcap) or messages (sqlite3). As a context manager it removes what it wrote when the
-    body raises. Raises BagError when `path` exists and `overwrite` is not set.
+    body raises. Raises BagError when `path` exists and `overwrite` is not set, and when the disk takes no
+    more; with `salvage` what it took before stays under the temporary name.
     """
 
     def __init__(
@@ -300,8 +306,11 @@ class BagWriter:
         storage: str | None = None,
         compression: str = 'none',
         overwrite: bool = False,
+        salvage: bool = False,
     ) -> None:
         self.path = Path(path)
+        self._salvage = salvage
+        self._failed = False
         self._single = self.path.suffix in SUFFIXES
         storage = storage or SUFFIXES.get(self.path.suffix, 'mcap')
         if storage not in STORAGES:
@@ -332,7 +341,11 @@ class BagWriter:
         if compression == 'zstd':
             mode = CompressionMode.STORAGE if storage == 'mcap' else CompressionMode.MESSAGE
             self._writer.set_compression(mode, CompressionFormat.ZSTD)
-        self._writer.open()
+        try:
+            self._writer.open()
+        except (OSError, sqlite3.Error) as error:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise BagError(f'{self.path}: cannot be written ({_words(error)})') from error
         self._connections: dict[str, Any] = {}
         self._types: dict[str, str] = {}
         self._encoders: dict[str, Callable[[Any], bytes]] = {}
@@ -374,12 +387,25 @@ class BagWriter:
         """Write CDR bytes at bag time `stamp` (ns, not negative)."""
         if stamp < 0:
             raise BagError(f"{self.path}: negative bag time {stamp} ns on topic '{topic}'")
-        self._writer.write(self._connections[topic], stamp, data)
+        try:
+            self._writer.write(self._connections[topic], stamp, data)
+        except (OSError, sqlite3.Error) as error:
+            raise self._full(error) from error
         self.counts[topic] += 1
+
+    def _full(self, error: OSError | sqlite3.Error) -> BagError:
+        self._failed = True
+        kept = f'; what was written before is in {self._folder}' if self._salvage else ''
+        return BagError(f'{self.path}: {_words(error)}{kept}')
 
     def close(self) -> None:
         """Finish the file and give it its name."""
-        self._writer.close()
+        try:
+            self._writer.close()
+        except (OSError, sqlite3.Error) as error:
+            failure = self._full(error)
+            self.abort()
+            raise failure from error
         source = self._writer.path
         if self._single:
             source = next(f for f in source.iterdir() if f.suffix == self.path.suffix)
@@ -389,9 +415,15 @@ class BagWriter:
         shutil.rmtree(self._folder)
 
     def abort(self) -> None:
-        """Remove what was written."""
-        self._writer.abort()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        """Remove what was written, unless the disk is full and it is to be salvaged."""
+        try:
+            self._writer.abort()
+        except (OSError, sqlite3.Error):
+            # A full disk refuses the last buffer once more.
+            if not self._failed:
+                raise
+        if not (self._failed and self._salvage):
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def __enter__(self) -> BagWriter:
         return self

@@ -2,6 +2,8 @@
 """Bags are written whole or not at all, read whatever the storage, and refused with one clear line."""
 
 import importlib
+import resource
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -94,6 +96,43 @@ def test_a_failed_write_leaves_nothing(tmp_path, name):
         bag.write('/imu', SECOND, imu(SECOND, (1, 2, 3)))
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def disk_of(size):
+    """No file may grow beyond `size` bytes, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize('name', ['bag', 'bag.mcap', 'bag.db3'])
+@pytest.mark.parametrize('salvage', [True, False])
+@pytest.mark.parametrize('count', [10, 3000], ids=['at the end', 'on the way'])
+def test_a_full_disk_is_named_and_what_it_took_can_be_salvaged(tmp_path, name, salvage, count):
+    size = 2_500_000 if count > 10 else 2_000
+    message = zeroed('std_msgs/msg/String')
+    message.data = 'x' * 1000
+    with (  # noqa: PT012
+        disk_of(size),
+        pytest.raises(BagError, match=name) as caught,
+        BagWriter(tmp_path / name, salvage=salvage) as bag,
+    ):
+        bag.add('words', 'std_msgs/msg/String')
+        for stamp in range(count):
+            bag.write('/words', stamp, message)
+    assert not (tmp_path / name).exists()
+    left = [f for f in tmp_path.rglob('*') if f.is_file()]
+    # SQLite has its tables to write before anything can be salvaged.
+    kept = salvage and not (name == 'bag.db3' and count == 10)
+    assert bool(left) == kept
+    assert ('what was written before is in' in str(caught.value)) == kept
+    if salvage and name != 'bag.db3' and count > 10:
+        assert left[0].read_bytes().startswith(b'\x89MCAP')
+        assert left[0].stat().st_size > 1_000_000
 
 
 def test_a_failed_write_keeps_the_bag_it_would_have_replaced(tmp_path):

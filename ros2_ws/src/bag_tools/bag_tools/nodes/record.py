@@ -33,6 +33,7 @@ def run(argv: list[str]) -> int:
             storage=options.storage,
             compression=options.compression,
             overwrite=options.overwrite,
+            salvage=True,
         ) as writer:
             node = Recorder(options, writer)
             record(node, options, stop)

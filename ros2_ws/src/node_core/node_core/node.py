@@ -26,6 +26,7 @@ from node_core.lockstep import Acknowledger
 from node_core.message_types import message_class
 from node_core.ports import Input, Output, Ports
 from node_core.ros_parameters import NodeParameters
+from node_core.spin import leave_at_once
 
 DIAGNOSTICS_PERIOD = 1.0  # s, the rate that diagnostic_aggregator expects
 # A clock that goes back by more than this is a bag that loops, not a correction by NTP.
@@ -66,6 +67,7 @@ class WorkspaceNode(Node):
 
     def __init__(self, name: str, *classes: type, **kwargs: Any) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **kwargs)
+        leave_at_once(self.destroy_node)
         self.parameters = NodeParameters(self, NodeParams, *classes)
         common = self.parameters[NodeParams]
         self.queue_depth: int = common.queue_depth

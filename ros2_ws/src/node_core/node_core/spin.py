@@ -49,9 +49,15 @@ class Interrupt:
 
     def __init__(self) -> None:
         self.received, self.watched = False, False
+        self.leave: Callable[[], Any] | None = None
 
     def __call__(self, _number: int, _frame: Any) -> None:
         """Take note, and raise KeyboardInterrupt where nobody looks at the context."""
+        if self.leave is not None:
+            try:
+                self.leave()
+            finally:
+                os._exit(0)
         again, self.received = self.received, True
         if again or not self.watched:
             raise KeyboardInterrupt
@@ -60,6 +66,17 @@ class Interrupt:
         """Take over SIGINT; return self."""
         signal.signal(signal.SIGINT, self)
         return self
+
+
+def leave_at_once(clean: Callable[[], Any]) -> None:
+    """From now on until the node spins, Ctrl-C calls `clean` and ends the process with code 0.
+
+    For nodes under construction, which load kernels: LLVM calls back into Python there, where an exception is
+    printed and dropped.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    if isinstance(handler, Interrupt):
+        handler.leave = clean
 
 
 def run(build: Callable[[], Any], argv: list[str] | None = None) -> int:
@@ -104,7 +121,7 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
         gc.freeze()
         for node in nodes:
             executor.add_node(node)
-        interrupt.watched = True
+        interrupt.watched, interrupt.leave = True, None
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

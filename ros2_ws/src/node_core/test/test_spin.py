@@ -45,3 +45,10 @@ def test_ctrl_c_within_a_call_of_ros_loses_no_message():
         first, *others = [int(number) for number in node.output.split()]
     # The one that was converted when the signal came is the third.
     assert others[:2] == [first + 1, first + 2]
+
+
+def test_ctrl_c_while_kernels_load_ends_the_node_at_once():
+    # What the handler raises within a call from C is printed as "Exception ignored", and lost.
+    with Process.script(Path(__file__).parent / 'interrupted_start.py') as node:
+        assert node.wait() == 0
+        assert node.output == 'loading\n'

@@ -10,6 +10,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,7 +49,26 @@ class Result:
     seconds: float
 
 
-def replay(job: Job, folder: Path) -> tuple[list[Result], Graph]:
+class Clock:
+    """Where the time of a run goes (s), by kind of work."""
+
+    def __init__(self) -> None:
+        self.spent: Counter[str] = Counter()
+
+    @contextmanager
+    def __call__(self, work: str) -> Iterator[None]:
+        """Count the time of the block as `work`."""
+        started = time.monotonic()
+        try:
+            yield
+        finally:
+            self.spent[work] += time.monotonic() - started
+
+    def __str__(self) -> str:
+        return ', '.join(f'{work} {seconds:.0f} s' for work, seconds in self.spent.items())
+
+
+def replay(job: Job, folder: Path, clock: Clock) -> tuple[list[Result], Graph]:
     """Run one job live and offline; return a result per estimator, and the graph as it ran.
 
     Raises ReplayError and BagError.
@@ -54,17 +76,20 @@ def replay(job: Job, folder: Path) -> tuple[list[Result], Graph]:
     folder.mkdir(parents=True, exist_ok=True)
     estimators = job.estimators()
     started = time.monotonic()
-    heard = cut(job.bag, job.live_seconds, folder / 'cut.mcap') if job.live_seconds else job.bag
     live_bag = folder / 'live.mcap'
-    with probe('watch') as eye:
-        watch = Watch(eye)
-        live(heard, estimators, live_bag, progress=sys.stderr.isatty(), watch=watch)
-    graph = without_lockstep(watch.graph).with_rates(replay_rates(heard, live_bag))
+    with clock('live graphs'):
+        heard = cut(job.bag, job.live_seconds, folder / 'cut.mcap') if job.live_seconds else job.bag
+        with probe('watch') as eye:
+            watch = Watch(eye)
+            live(heard, estimators, live_bag, progress=sys.stderr.isatty(), watch=watch)
     seconds = time.monotonic() - started
-    offline = offline_all(heard, estimators, folder)
+    graph = without_lockstep(watch.graph).with_rates(replay_rates(heard, live_bag))
+    with clock('offline replays'):
+        offline = offline_all(heard, estimators, folder)
     found = {e.space: differences(live_bag, folder, [e]) for e in estimators}
     if heard is not job.bag:
-        offline = offline_all(job.bag, estimators, folder)
+        with clock('offline replays'):
+            offline = offline_all(job.bag, estimators, folder)
     results = []
     for entry in job.replay.entries:
         name = space(entry)
@@ -114,6 +139,8 @@ def _arguments() -> argparse.Namespace:
 
 def main() -> int:
     """Entry point."""
+    started = time.monotonic()
+    clock = Clock()
     arguments = _arguments()
     out = arguments.out
     try:
@@ -132,7 +159,7 @@ def main() -> int:
         for number, job in enumerate(jobs, 1):
             print(f'[{number}/{len(jobs)}] {job.system}: {job.replay.title} ({job.bag.stem})', flush=True)
             try:
-                done, graph = replay(job, out / job.system / job.bag.stem)
+                done, graph = replay(job, out / job.system / job.bag.stem, clock)
             except (ReplayError, BagError) as error:
                 failed += 1
                 print(f'      failed: {error}', file=sys.stderr)
@@ -150,6 +177,8 @@ def main() -> int:
         return 1
     print(f'\n{table(results)}\n')
     print(f'report: {write(results, graphs, out)}')
+    rest = time.monotonic() - started - sum(clock.spent.values())
+    print(f'time: {clock}, comparing, scoring and the report {rest:.0f} s')
     return 1 if failed else 0
 
 

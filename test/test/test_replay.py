@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Graph and offline runner say the same, to the last bit, however the bag is played."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from workspace_harness.make_bags import PACKAGES
 from workspace_harness.replay import Estimator, cut, differences, live, offline_all
-from workspace_harness.systems import fixtures
+from workspace_harness.systems import fixtures, recordings
 
 from bag_tools.bag import BagReader, BagWriter
 from bag_tools.content import compare
@@ -31,6 +34,25 @@ def test_lock_step_equals_offline_on_every_fixture(bags, tmp_path, name):
     results = offline_all(bag, job.estimators(), tmp_path)
     assert all(sum(r.outputs.values()) > 0 for r in results.values())
     assert differences(tmp_path / 'live.mcap', tmp_path, job.estimators()) == []
+
+
+def test_recordings_that_are_there_are_imported_and_replayed(tmp_path, monkeypatch):
+    data = Path(os.environ.get('ESTIMATOR_DATA', '../shared/data')).resolve()
+    monkeypatch.setenv('ESTIMATOR_DATA', str(tmp_path))
+    assert recordings(list(PACKAGES), tmp_path / 'bags') == []
+    names = ['ev/kingston_1800s', 'imu/broad_02.npz', 'ins/gnss_imu_walk_60s']
+    there = [name for name in names if (data / name).exists()]
+    if not there:
+        pytest.skip(f'no recordings at {data} (set ESTIMATOR_DATA)')
+    for name in there:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).symlink_to(data / name)
+    found = recordings(list(PACKAGES), tmp_path / 'bags')
+    assert sorted(job.bag.stem for job in found) == sorted(Path(name).stem for name in there)
+    for job in found:
+        with BagReader(job.bag) as reader:
+            assert job.replay.truth in reader.topics
+            assert {job.replay.where} <= {*reader.topics, None}
 
 
 @pytest.mark.parametrize('rate', [1.0, 5.0])

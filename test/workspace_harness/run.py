@@ -28,7 +28,6 @@ from workspace_harness.replay import ReplayError, cut, differences, live, offlin
 from workspace_harness.report import write
 from workspace_harness.systems import (
     LIVE_SECONDS,
-    LIVE_SECONDS_RECORDED,
     Job,
     choose,
     fixtures,
@@ -147,8 +146,7 @@ def main() -> int:
         systems = choose(arguments.systems)
         jobs = fixtures(root() / 'bags', systems, 0.0 if arguments.whole else LIVE_SECONDS)
         if not arguments.no_recordings:
-            seconds = 0.0 if arguments.whole else LIVE_SECONDS_RECORDED
-            jobs += recordings(systems, out / 'recordings', seconds)
+            jobs += recordings(systems, out / 'recordings', whole=arguments.whole)
     except (ValueError, BagError) as error:
         print(f'./ws run: {error}', file=sys.stderr)
         return 2

@@ -17,8 +17,6 @@ from workspace_harness.replay import Estimator
 # In lock-step every message waits for every node, so minutes of a fast sensor take minutes. By default the
 # graph gets the beginning of a bag (s); the offline runner, which the table shows to be equal, the whole.
 LIVE_SECONDS = 15.0
-# Recordings come at 285 Hz twice.
-LIVE_SECONDS_RECORDED = 5.0
 
 
 @dataclass(frozen=True)
@@ -54,18 +52,20 @@ def fixtures(bags: Path, systems: list[str], live_seconds: float = 0.0) -> list[
     return jobs
 
 
-def recordings(systems: list[str], folder: Path, live_seconds: float = 0.0) -> list[Job]:
+def recordings(systems: list[str], folder: Path, *, whole: bool = False) -> list[Job]:
     """Import the public recordings found below ESTIMATOR_DATA; return their jobs."""
     data = Path(os.environ['ESTIMATOR_DATA'])
     jobs = []
-    if 'imu_kalman' in systems and importlib.util.find_spec('imu_kalman.replays') is not None:
-        from imu_kalman.replays import recorded
-
-        for source in sorted((data / 'imu').glob('broad_*.npz')):
-            bag = folder / f'{source.stem}.mcap'
-            if not bag.exists():
-                import_data('broad', source, bag)
-            jobs.append(Job('imu_kalman', recorded(source.stem), bag, live_seconds))
+    for system in systems:
+        if importlib.util.find_spec(f'{system}.replays') is None:
+            continue
+        for recorded in getattr(importlib.import_module(f'{system}.replays'), 'RECORDED', ()):
+            for source in sorted(data.glob(recorded.pattern)):
+                bag = folder / f'{source.stem}.mcap'
+                if not bag.exists():
+                    import_data(recorded.importer, source, bag)
+                seconds = 0.0 if whole else recorded.live_seconds
+                jobs.append(Job(system, recorded.replay(bag), bag, seconds))
     return jobs
 
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `./ws run` replays: each package declares it as ``PKG.replays.REPLAYS``."""
+"""What `./ws run` replays: each package declares it as ``PKG.replays.REPLAYS`` and ``RECORDED``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 
@@ -42,3 +43,17 @@ class Replay:
     where: str | None = None
     after: float = 0.0
     printed: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """Public recordings that are replayed where they are found.
+
+    `pattern` is a glob below the folder of recordings, `importer` what ``bag_tools import`` is given;
+    `replay` makes the replay of an imported bag. The graph gets the first `live_seconds` (s).
+    """
+
+    pattern: str
+    importer: str
+    replay: Callable[[Path], Replay]
+    live_seconds: float

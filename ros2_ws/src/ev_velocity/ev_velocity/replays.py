@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `./ws run` replays of this package: its fixtures, through the joint filter and the paper's fusion."""
+"""What `./ws run` replays of this package, through the joint filter and the paper's fusion."""
 
-from bag_tools.catalogue import Entry, Replay
+from pathlib import Path
+
+from bag_tools.catalogue import Entry, Recorded, Replay
+from ev_velocity.params import FusionParams
 
 _VALUE = 'twist.twist.linear'
 _ENTRIES = (
@@ -22,3 +25,20 @@ REPLAYS = (
     _replay('ev_oil_patch', 'wheel spin on oil'),
     _replay('ev_gps_trouble', 'GPS multipath and outage'),
 )
+
+
+# One step of a 10 Hz accelerometer is as long as fifty of the paper's.
+_SLOW = {'sigma_accelerometer': tuple(50.0 * s for s in FusionParams().sigma_accelerometer)}
+_RECORDED_ENTRIES = (
+    Entry('published', 'fusion_estimator', 'fusion/velocity', {'variant': 'published', **_SLOW}, _VALUE),
+    Entry('fusion', 'fusion_estimator', 'fusion/velocity', _SLOW, _VALUE),
+    Entry('joint', 'velocity_estimator', 'vehicle/velocity', {}, _VALUE),
+)
+
+
+def _kingston(bag: Path) -> Replay:
+    title = 'recorded downtown drive with survey-grade reference'
+    return Replay(bag.stem, title, _TRUTH, _RECORDED_ENTRIES, _COMPONENTS, truth_field='twist.linear')
+
+
+RECORDED = (Recorded('ev/kingston_1800s', 'ev_velocity:kingston', _kingston, live_seconds=60.0),)

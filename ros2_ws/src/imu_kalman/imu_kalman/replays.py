@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `./ws run` replays of this package: fixtures, and recordings with an optical reference."""
 
-from bag_tools.catalogue import Entry, Replay
+from pathlib import Path
+
+from bag_tools.catalogue import Entry, Recorded, Replay
 
 _ENTRIES = (
     Entry('published', 'angle_estimator', 'imu/data', {'variant': 'published'}),
@@ -25,13 +27,17 @@ REPLAYS = (
 )
 
 
-def recorded(name: str) -> Replay:
+def _broad(bag: Path) -> Replay:
     """Return the replay of an imported BROAD trial, scored while it moves."""
     return Replay(
-        name,
-        f'recorded motion with optical reference ({name})',
+        bag.stem,
+        'recorded motion with optical reference',
         _TRUTH,
         _ENTRIES,
         ('total', 'heading', 'inclination'),
         where='/truth/movement',
     )
+
+
+# At 285 Hz twice.
+RECORDED = (Recorded('imu/broad_*.npz', 'broad', _broad, live_seconds=5.0),)

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `./ws run` replays of this package."""
 
-from bag_tools.catalogue import Entry, Replay
+from pathlib import Path
+
+from bag_tools.bag import BagReader
+from bag_tools.catalogue import Entry, Recorded, Replay
 from ins_gps.evaluation import PRINTED
 
 _TRUTH = '/truth/odometry'
@@ -56,3 +59,27 @@ REPLAYS = (
         'gnss_faults', 'jump, ramp, slips, late epochs', _TRUTH, _systems(_FAULTS), _COMPONENTS, after=30.0
     ),
 )  # fmt: skip
+
+
+def _walk(bag: Path) -> Replay:
+    """Return the replay of the imported walk; its local frame begins at the first fix of the bag."""
+    with BagReader(bag) as reader:
+        fix = next(
+            reader.decode(data, reader.topics[t].type) for t, _, data in reader.messages(['/gnss/fix'])
+        )
+    params = {'origin': (fix.latitude, fix.longitude, fix.altitude), 'correction_age': 100.0}
+    modes = {'GPS': 'gps', 'loose': 'loose', 'tight': 'tight_doppler', 'proposed': 'tight_tdcp'}
+    return Replay(
+        bag.stem,
+        'recorded walk with RTK reference',
+        '/truth/position',
+        tuple(
+            Entry(name, 'ins_gps_estimator', 'odometry', params | {'mode': mode}, 'pose.pose.position')
+            for name, mode in modes.items()
+        ),
+        _COMPONENTS,
+        after=20.0,  # s: it stands for the first 10
+    )
+
+
+RECORDED = (Recorded('ins/gnss_imu_walk_60s', 'ins_gps:gnss_imu_walk', _walk, live_seconds=30.0),)

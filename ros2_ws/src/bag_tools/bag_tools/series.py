@@ -173,18 +173,46 @@ def walk(message: Any, path: str) -> Any:
     return value
 
 
-_WITH_COVARIANCE = re.compile(r'(.*\b(?:pose|twist))\.(?:pose|twist)\.(position|linear|angular)\.([xyz])')
-_BESIDE_COVARIANCE = re.compile(r'(angular_velocity|linear_acceleration|magnetic_field)\.([xyz])')
+_WITH_COVARIANCE = re.compile(
+    r'(.*\b(?:pose|twist))\.(?:pose|twist)\.(position|linear|angular)(?:\.([xyz]))?'
+)
+_BESIDE_COVARIANCE = re.compile(r'(angular_velocity|linear_acceleration|magnetic_field)(?:\.([xyz]))?')
+_UNITS = {
+    'twist.linear': 'm/s',
+    'twist.angular': 'rad/s',
+    'accel.linear': 'm/s²',
+    'accel.angular': 'rad/s²',
+    'pose.position': 'm',
+    'angular_velocity': 'rad/s',
+    'linear_acceleration': 'm/s²',
+    'magnetic_field': 'T',
+}
 
 
-def _variance_path(path: str) -> str:
-    """Return where the variance of the number at `path` stands in messages that carry one, else ''."""
+def _unit(path: str) -> str:
+    """Return the unit of the vector, or of the component of one, at `path` where ROS prescribes it."""
+    vector = re.sub(r'\.[xyz]$', '', path)
+    return next((unit for end, unit in _UNITS.items() if f'.{vector}'.endswith(f'.{end}')), '')
+
+
+def _covariance_of(path: str, sample: Any) -> Callable[[Any], Any] | None:
+    """Return what gets the covariance of the vector, or component of one, at `path`; None without one."""
     if match := _WITH_COVARIANCE.fullmatch(path):
-        row = 'xyz'.index(match[3]) + (3 if match[2] == 'angular' else 0)
-        return f'{match[1]}.covariance[{7 * row}]'
-    if match := _BESIDE_COVARIANCE.fullmatch(path):
-        return f'{match[1]}_covariance[{4 * "xyz".index(match[2])}]'
-    return ''
+        holder, size, first = f'{match[1]}.covariance', 6, 3 if match[2] == 'angular' else 0
+    elif match := _BESIDE_COVARIANCE.fullmatch(path):
+        holder, size, first = f'{match[1]}_covariance', 3, 0
+    else:
+        return None
+    try:
+        walk(sample, holder)
+    except LookupError:
+        return None
+    axis = match[match.lastindex or 0]
+    rows = slice(first, first + 3)
+    if axis in _XYZ:
+        first += _XYZ.index(axis)
+        rows = slice(first, first + 1)
+    return lambda m: np.asarray(walk(m, holder), dtype=np.float64).reshape(size, size)[rows, rows]
 
 
 def _quantity_at(path: str, sample: Any) -> Quantity:
@@ -192,20 +220,16 @@ def _quantity_at(path: str, sample: Any) -> Quantity:
     value = walk(sample, path)
     kind = type(value).__name__.split('__')[-1]
     if kind in ('Vector3', 'Point', 'Point32'):
-        return Quantity(path, 'vector', _XYZ, '', _xyz(lambda m: walk(m, path)))
+        get = _xyz(lambda m: walk(m, path))
+        return Quantity(path, 'vector', _XYZ, _unit(path), get, _covariance_of(path, sample))
     if kind == 'Quaternion':
         return Quantity(
             'orientation', 'orientation', ('w', 'x', 'y', 'z'), 'rad', _wxyz(lambda m: walk(m, path))
         )
     if isinstance(value, bool | int | float | np.number):
-        variance = _variance_path(path)
-        try:
-            walk(sample, variance)
-        except LookupError:
-            return Quantity(path, 'scalar', (path,), '', lambda m: (float(walk(m, path)),))
-        return Quantity(
-            path, 'scalar', (path,), '', lambda m: (float(walk(m, path)),), lambda m: walk(m, variance)
-        )
+        label = (path.rsplit('.', 1)[-1],)
+        number = lambda m: (float(walk(m, path)),)  # noqa: E731
+        return Quantity(path, 'scalar', label, _unit(path), number, _covariance_of(path, sample))
     if isinstance(value, np.ndarray):
         labels = tuple(f'[{i}]' for i in range(len(value)))
         return Quantity(path, 'vector', labels, '', lambda m: tuple(walk(m, path)))

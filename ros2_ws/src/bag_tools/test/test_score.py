@@ -236,6 +236,25 @@ def test_odometry_is_scored_in_all_its_parts(odometry):
     assert results['orientation'].component('total').max == 0.0
 
 
+@pytest.mark.parametrize(
+    ('path', 'unit', 'nees'),
+    [
+        ('pose.pose.position', 'm', 1.0),  # 0.5² over a variance of 0.25
+        ('pose.pose.position.x', 'm', 1.0),
+        ('pose.pose.position.y', 'm', 0.0),
+        ('twist.twist.linear', 'm/s', 0.25),
+        ('twist.twist.linear.x', 'm/s', 0.25),
+        ('twist.twist.angular.z', 'rad/s', 0.0),
+        ('header.stamp.nanosec', '', None),
+    ],
+)
+def test_a_field_keeps_its_unit_and_its_part_of_the_covariance(odometry, path, unit, nees):
+    found = score(Subject(odometry, 'odom', path), Subject(odometry, 'truth', path))[0].score
+    assert found.components[0].unit == unit
+    assert found.components[0].name in ('x', path.rsplit('.', 1)[-1])
+    assert found.nees == (nees if nees is None else pytest.approx(nees))
+
+
 def test_command_line_scores_fields_and_masks(odometry, capsys):
     bag = str(odometry)
     assert tool.main([bag, '/speed', '/truth', '--where', '/moving', '--json']) == 0

@@ -6,7 +6,7 @@ from pathlib import Path
 from bag_tools.catalogue import Entry, Recorded, Replay
 from ev_velocity.params import FusionParams
 
-_VALUE = 'twist.twist.linear'
+_VALUE = 'twist.twist.linear.x'
 _ENTRIES = (
     Entry('published', 'fusion_estimator', 'fusion/velocity', {'variant': 'published'}, _VALUE),
     Entry('fusion', 'fusion_estimator', 'fusion/velocity', {}, _VALUE),
@@ -17,7 +17,7 @@ _COMPONENTS = ('x',)
 
 
 def _replay(bag: str, title: str) -> Replay:
-    return Replay(bag, title, _TRUTH, _ENTRIES, _COMPONENTS, truth_field='twist.linear')
+    return Replay(bag, title, _TRUTH, _ENTRIES, _COMPONENTS, truth_field='twist.linear.x')
 
 
 REPLAYS = (
@@ -38,7 +38,7 @@ _RECORDED_ENTRIES = (
 
 def _kingston(bag: Path) -> Replay:
     title = 'recorded downtown drive with survey-grade reference'
-    return Replay(bag.stem, title, _TRUTH, _RECORDED_ENTRIES, _COMPONENTS, truth_field='twist.linear')
+    return Replay(bag.stem, title, _TRUTH, _RECORDED_ENTRIES, _COMPONENTS, truth_field='twist.linear.x')
 
 
 RECORDED = (Recorded('ev/kingston_1800s', 'ev_velocity:kingston', _kingston, live_seconds=60.0),)

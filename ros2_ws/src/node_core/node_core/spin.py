@@ -49,13 +49,14 @@ class Interrupt:
 
     def __init__(self) -> None:
         self.received, self.watched = False, False
-        self.leave: Callable[[], Any] | None = None
+        self.leave: list[Callable[[], Any]] = []
 
     def __call__(self, _number: int, _frame: Any) -> None:
-        """Take note, and raise KeyboardInterrupt where nobody looks at the context."""
-        if self.leave is not None:
+        """Take note; under construction leave, and raise KeyboardInterrupt where nobody sees the context."""
+        if self.leave:
             try:
-                self.leave()
+                for clean in self.leave:
+                    clean()
             finally:
                 os._exit(0)
         again, self.received = self.received, True
@@ -76,7 +77,7 @@ def leave_at_once(clean: Callable[[], Any]) -> None:
     """
     handler = signal.getsignal(signal.SIGINT)
     if isinstance(handler, Interrupt):
-        handler.leave = clean
+        handler.leave.append(clean)
 
 
 def run(build: Callable[[], Any], argv: list[str] | None = None) -> int:
@@ -121,7 +122,8 @@ def _run(build: Callable[[], Any], argv: list[str]) -> int:
         gc.freeze()
         for node in nodes:
             executor.add_node(node)
-        interrupt.watched, interrupt.leave = True, None
+        interrupt.watched = True
+        interrupt.leave.clear()
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -6,11 +6,11 @@ from contextlib import ExitStack
 
 import pytest
 import rclpy
-from std_msgs.msg import Int64
+from std_msgs.msg import Int64, String
 
 from bag_tools.nodes.lockstep import LockStep
 from node_core.executor import DirectExecutor
-from node_core.lockstep import TOPIC, Acknowledger, parse_links
+from node_core.lockstep import LINKS, LINKS_QOS, TOPIC, Acknowledger, parse_links
 from node_core.node import reliable
 from node_core.testing import TIMEOUT
 
@@ -34,12 +34,13 @@ def graph():
     context.try_shutdown()
 
 
-def test_a_topic_between_nodes_waits_until_its_publisher_has_matched_every_reader(graph):
-    (player, spin_player), (writer, spin_writer), (reader, _) = map(graph, ('player', 'writer', 'reader'))
+def test_nodes_are_waited_for_until_they_are_complete_and_linked_both_ways(graph):
+    (player, spin_player), (writer, spin_writer), (reader, spin_reader) = map(
+        graph, ('player', 'writer', 'reader')
+    )
     for node in (writer, reader):
         Acknowledger(node)
     writer.create_publisher(Int64, 'between', reliable(10))
-    reader.create_subscription(Int64, 'between', lambda _: None, reliable(10))
     lockstep = LockStep(player, 1.0)
 
     def waiting():
@@ -52,15 +53,31 @@ def test_a_topic_between_nodes_waits_until_its_publisher_has_matched_every_reade
         while not condition():
             assert time.monotonic() < end, lockstep.unmatched()
 
-    # The writer is not spun: its readers may be matched, but it has not said so.
-    until(lambda: waiting() == "'/between' of '/writer' has 0 of 2 readers")
-    until(lambda: spin_writer.spin_once(timeout_sec=0.01) or not waiting())
+    # Who loads kernels takes part already, and subscribes seconds later: it is spun only then.
+    until(lambda: waiting() == "'/reader' is not complete")
+    reader.create_subscription(Int64, 'between', lambda _: None, reliable(10))
+    until(lambda: spin_reader.spin_once(timeout_sec=0.01) or waiting() == "'/writer' is not complete")
+
+    def linked():
+        spin_writer.spin_once(timeout_sec=0.01)
+        spin_reader.spin_once(timeout_sec=0.01)
+        return not waiting()
+
+    until(linked)
     assert lockstep.followers()['/between'] == ('/reader',)
+    says = writer.create_publisher(String, LINKS, LINKS_QOS)
+    until(lambda: spin_player.spin_once(timeout_sec=0.01) or says.get_subscription_count())
+    says.publish(String(data='/writer /between=0'))
+    until(lambda: waiting() == "'/between' of '/writer' has 0 of 2 readers")
+    says.publish(String(data='/writer /between=2'))
+    says.publish(String(data='/reader </between=0'))
+    until(lambda: waiting() == "'/reader' does not hear '/between' yet")
 
 
 def test_a_node_that_is_not_known_by_its_name_is_waited_for(graph, monkeypatch):
     (player, spin_player), (reader, spin_reader) = map(graph, ('player', 'reader'))
     Acknowledger(reader)
+    player.create_publisher(Int64, 'played', reliable(10))
     reader.create_subscription(Int64, 'played', lambda _: None, reliable(10))
     lockstep = LockStep(player, 1.0)
     known = player.get_publishers_info_by_topic
@@ -87,5 +104,6 @@ def test_a_node_that_is_not_known_by_its_name_is_waited_for(graph, monkeypatch):
     assert said('') == {'/reader'}
 
 
-def test_the_fewest_readers_of_a_topic_published_twice_count():
-    assert parse_links('/node /a=2 /b=1 /a=0') == ('/node', {'/a': 0, '/b': 1})
+def test_the_fewest_links_of_a_topic_that_stands_twice_count():
+    line = '/node /a=2 /b=1 /a=0 </c=3 </a=1'
+    assert parse_links(line) == ('/node', {'/a': 0, '/b': 1}, {'/c': 3, '/a': 1})

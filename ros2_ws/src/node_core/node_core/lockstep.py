@@ -8,9 +8,12 @@ Each node with the parameter ``lockstep`` publishes, after all outputs of a mess
 `count` is the number of messages of this topic that the node has processed since it started.
 
 What a node publishes before DDS has matched it with a reader is lost to that reader, and only the node itself
-can tell: on LINKS it says, whenever that changes, how many readers each of its topics is matched with::
+can tell: on LINKS it says, whenever that changes, how many readers each of its topics is matched with, and
+how many writers each topic (after a "<") that it hears::
 
-    <fully qualified node name> <fully qualified topic>=<matched readers> …
+    <fully qualified node name> <fully qualified topic>=<matched readers> … <<topic>=<matched writers> …
+
+Its first line says that it is complete: a node answers for nothing before it spins.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ LINKS_QOS = QoSProfile(
     depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 _LINKS_PERIOD = 0.1  # s
+_HEARD = '<'  # no topic name holds it
 
 
 class Acknowledger:
@@ -54,8 +58,9 @@ class Acknowledger:
         self._publisher.publish(self._line)
 
     def _tell_links(self) -> None:
-        counts = (f'{p.topic_name}={p.get_subscription_count()}' for p in self._node.publishers)
-        line = ' '.join([self._name, *counts])
+        told = [f'{p.topic_name}={p.get_subscription_count()}' for p in self._node.publishers]
+        heard = [f'{_HEARD}{s.topic_name}={s.get_publisher_count()}' for s in self._node.subscriptions]
+        line = ' '.join([self._name, *told, *heard])
         if line != self._linked:
             self._linked = line
             self._links.publish(String(data=line))
@@ -67,11 +72,17 @@ def parse(line: str) -> tuple[str, str, int]:
     return name, topic, int(count)
 
 
-def parse_links(line: str) -> tuple[str, dict[str, int]]:
-    """Return (node, {topic: matched readers}) of one line of LINKS; the fewest of a topic published twice."""
+def parse_links(line: str) -> tuple[str, dict[str, int], dict[str, int]]:
+    """Return (node, {topic: matched readers}, {topic heard: matched writers}) of one line of LINKS.
+
+    Of a topic that stands twice, the fewest.
+    """
     name, *pairs = line.split(' ')
-    links: dict[str, int] = {}
+    told: dict[str, int] = {}
+    heard: dict[str, int] = {}
     for pair in pairs:
         topic, count = pair.rsplit('=', 1)
+        links = heard if topic.startswith(_HEARD) else told
+        topic = topic.removeprefix(_HEARD)
         links[topic] = min(int(count), links.get(topic, int(count)))
-    return name, links
+    return name, told, heard

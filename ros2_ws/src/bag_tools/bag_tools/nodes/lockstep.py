@@ -43,6 +43,7 @@ class LockStep:
         self._acknowledged: dict[tuple[str, str], int] = {}
         self._between: dict[str, Any] = {}
         self._links: dict[str, dict[str, int]] = {}
+        self._heard: dict[str, dict[str, int]] = {}
         self._members: frozenset[str] = frozenset()
         node.create_subscription(String, lockstep.LINKS, self._on_links, lockstep.LINKS_QOS)
         self._progress = node.create_subscription(String, lockstep.TOPIC, self._on_progress, lockstep.QOS)
@@ -54,8 +55,12 @@ class LockStep:
 
     def look(self, own_topics: set[str]) -> None:
         """Find who follows what by now; `own_topics` are the player's. Call again when the graph changes."""
-        self._members = self.members()
-        self._links = {name: links for name, links in self._links.items() if name in self._members}
+        members = self.members()
+        # A line may come before its node is known by name: only what is gone is forgotten.
+        for name in self._members - members:
+            self._links.pop(name, None)
+            self._heard.pop(name, None)
+        self._members = members
         for topic in sorted(own_topics):
             self._follow(topic)
         for topic, types in self._node.get_topic_names_and_types():
@@ -94,6 +99,8 @@ class LockStep:
             ends += self._node.get_subscriptions_info_by_topic(topic)
         if any(end.node_name == _NAMELESS for end in ends):
             return 'a node is not known by its name yet'
+        if unlinked := self._deaf():
+            return unlinked
         for topic, subscription in self._between.items():
             if not subscription.get_publisher_count():
                 return f"'{topic}' has no publisher"
@@ -107,6 +114,20 @@ class LockStep:
                     return f"'{topic}' of '{name}' has {linked} of {readers} readers"
         return ''
 
+    def _deaf(self) -> str:
+        """Return who is not complete, or does not hear yet what it subscribes to; '' when all do."""
+        for name in sorted(self._members):
+            if name not in self._heard:
+                return f"'{name}' is not complete"
+            for topic, writers in self._heard[name].items():
+                if topic not in self._followers:
+                    continue
+                if name not in self._followers[topic]:
+                    return f"'{name}' is not known to hear '{topic}'"
+                if not writers:
+                    return f"'{name}' does not hear '{topic}' yet"
+        return ''
+
     def _readers(self, topic: str, offered: QoSProfile) -> int:
         """Return how many known subscriptions take what is offered."""
         infos = self._node.get_subscriptions_info_by_topic(topic)
@@ -114,8 +135,8 @@ class LockStep:
         return sum(check != QoSCompatibility.ERROR for check in checks)
 
     def _on_links(self, line: String) -> None:
-        name, links = lockstep.parse_links(line.data)
-        self._links[name] = links
+        name, told, heard = lockstep.parse_links(line.data)
+        self._links[name], self._heard[name] = told, heard
 
     def begin(self) -> None:
         """Count from now on: what came before the first message has nothing to do with it."""

@@ -29,7 +29,7 @@ _OMIT = ('*/nodes/*', '*/test/*', '*/fake_*', '*/fixtures.py', '*/replays.py', '
 _LIMIT = 240.0
 _STOPPED = 'stopped'
 # Tests that start processes say nothing about the algorithms and only cost time here.
-_LIVE = ('rclpy', 'node_core.testing', 'chromium')
+_LIVE = ('rclpy.init', 'node_core.testing', 'chromium')
 
 
 def _environment(package: str, folder: Path, *, jit: bool) -> dict[str, str]:

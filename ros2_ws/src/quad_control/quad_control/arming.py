@@ -84,6 +84,8 @@ class Arming:
             if self.mode == DISARMED:
                 return ''
             return self._enter(DISARMED, c.time, 'by the pilot')
+        if self.mode == ARMED:
+            return ''
         if self.mode != DISARMED:
             return f'refused: {NAMES[self.mode]}'
         reason = self.refusal(c)

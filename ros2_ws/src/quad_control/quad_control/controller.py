@@ -11,7 +11,7 @@ import numpy as np
 from kalman_core.health import Tally
 from quad_control.altitude import SIZE as ALTITUDE_SIZE
 from quad_control.altitude import Altitude, pressure_height
-from quad_control.arming import ARMED, DESCENT, NAMES, Arming, Checks
+from quad_control.arming import ARMED, DESCENT, DISARMED, NAMES, Arming, Checks
 from quad_control.arming import SIZE as ARMING_SIZE
 from quad_control.attitude_error import attitude_error, heading, tilt_cosine
 from quad_control.attitude_loop import AXES, YAW_CENTRE, AttitudeLoop, clip
@@ -198,7 +198,7 @@ class AttitudeController:
         """Arm or disarm; returns whether the wish was met, and what happened."""
         text = self.arming.request(on, self._checks(self._newest_time(), 0.0 if self._attitude else math.inf))
         self._say('arming', text, self._newest_stamp())
-        return (self.arming.flying == on), text or NAMES[self.arming.mode]
+        return self.arming.mode == (ARMED if on else DISARMED), text or NAMES[self.arming.mode]
 
     def kill(self) -> str:
         """Stop the motors at once."""

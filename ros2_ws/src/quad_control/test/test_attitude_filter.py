@@ -234,3 +234,44 @@ def test_the_tilt_variance_does_not_promise_more_than_the_error_shows():
 
 def test_tilt_error_is_the_angle_between_the_upward_directions():
     assert tilt_error(quat_from_euler(0.3, 0.0, 2.0), quat_from_euler(0.1, 0.0, -1.0)) == pytest.approx(0.2)
+
+
+def test_no_start_from_a_force_too_small_to_have_a_direction():
+    f = AttitudeFilter()
+    assert f.on_imu(ImuSample(START, (0.0, 0.0, 0.0), (0.1, 0.0, 0.2))) is None
+    assert f.tally.sensor('imu/data_raw').rejected == {'no specific force to start from': 1}
+    assert run(f, still(1, start=START + STEP))
+
+
+def test_a_state_that_is_not_finite_is_declared_and_started_anew():
+    f = AttitudeFilter()
+    samples = still(20)
+    run(f, samples[:10])
+    f.state[:] = math.nan
+    assert f.on_imu(samples[10]) is None
+    assert f.tally.restarts == ['state was not finite']
+    roll, pitch, _ = euler_from_quat(np.array(run(f, samples[11:])[-1].quaternion))
+    assert (roll, pitch) == pytest.approx((0.0, 0.0), abs=0.03)
+
+
+def test_new_parameters_begin_anew():
+    f = AttitudeFilter()
+    run(f, still(300))
+    assert f.calibrated
+    f.set_params(AttitudeParams(filter='corrected'))
+    assert not f.calibrated
+    assert run(f, still(10))
+
+
+def test_the_diagnostics_tell_a_known_bias_from_an_unknown_one():
+    f = AttitudeFilter()
+    samples = still(300, bias=(0.05, 0.0, 0.0))
+    run(f, samples[:5])
+    before = f.diagnostics()
+    run(f, samples[5:])
+    after = f.diagnostics()
+    assert (before['calibrated'], after['calibrated']) == (False, True)
+    assert after['bias_x_rad_s'] == pytest.approx(0.05, abs=1e-3)
+    assert after['bias_sigma_rad_s'] < 0.1 * before['bias_sigma_rad_s']
+    assert after['standing']
+    assert not after['frozen']

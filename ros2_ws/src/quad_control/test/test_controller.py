@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kalman_core.rotation import quat_from_euler
 from quad_control.attitude_filter import AttitudeFilter
-from quad_control.controller import AttitudeController
+from quad_control.controller import PRESSURE, RANGE, SETPOINT, AttitudeController
 from quad_control.craft import CraftParams, benchmark_craft, benchmark_imu, hover_fraction, lever, max_thrust
 from quad_control.flight import constant_pilot, fly, step_result
 from quad_control.linear_plant import rate_plant
@@ -301,3 +301,72 @@ def test_an_armed_craft_on_the_ground_idles_and_does_not_wind_up():
     assert len(set(pulses)) == 1
     assert 1000.0 < pulses[0] < 1100.0
     assert not controller.loop.demand.any()
+
+
+# Inputs and the pilot's services ------------------------------------------------------------------------
+
+
+def test_setpoints_that_are_no_numbers_or_older_than_the_last_are_rejected_by_name():
+    controller = ready()
+    controller.on_setpoint(Setpoint(2 * 10**9, 0.1, 0.0, 0.0, 0.2, True))
+    controller.on_setpoint(Setpoint(2 * 10**9 - 1, 0.2, 0.0, 0.0, 0.2, True))
+    controller.on_setpoint(Setpoint(3 * 10**9, math.nan, 0.0, 0.0, 0.2, True))
+    assert controller.tally.sensor(SETPOINT).rejected == {'older than the last': 1, 'not finite': 1}
+
+
+@pytest.mark.parametrize(
+    ('feed', 'sensor', 'reason'),
+    [
+        (lambda c: c.on_range(RangeSample(10**9, -1.0)), RANGE, 'not a height'),
+        (lambda c: c.on_range(RangeSample(10**9, math.nan)), RANGE, 'not a height'),
+        (lambda c: c.on_pressure(PressureSample(10**9, 0.0)), PRESSURE, 'not a pressure'),
+    ],
+)
+def test_heights_that_are_none_are_rejected_by_name(feed, sensor, reason):
+    controller = ready()
+    feed(controller)
+    assert controller.tally.sensor(sensor).rejected == {reason: 1}
+
+
+def test_arming_by_service_says_what_happened_and_why_not():
+    controller = AttitudeController()
+    assert controller.arm(True) == (False, 'refused: attitude is stale')
+    controller.on_setpoint(Setpoint(10**9, 0.0, 0.0, 0.0, 0.0, False))
+    controller.on_attitude(attitude(10**9))
+    assert controller.arm(True) == (True, 'armed')
+    assert controller.arm(True) == (True, 'armed')
+    assert 'stopped: kill switch' in controller.kill()
+    assert controller.arm(True) == (False, 'refused: failsafe stopped')
+    assert controller.arm(False) == (True, 'disarmed: by the pilot')
+    assert controller.arm(False) == (True, 'disarmed')
+
+
+@pytest.mark.parametrize(
+    ('prepare', 'axis', 'word'),
+    [
+        (lambda: ready(), 'heave', 'allowed: roll, pitch, yaw'),
+        (lambda: AttitudeController(), 'roll', 'armed craft off the ground'),
+        (lambda: ready(ControllerParams(controller='published')), 'roll', 'needs controller: cascade'),
+        (lambda: ready(), 'roll', ''),
+    ],
+)
+def test_autotune_says_why_it_does_not_begin(prepare, axis, word):
+    controller = prepare()
+    answer = controller.autotune(axis)
+    assert word in answer
+    assert bool(answer) == bool(word)
+    assert (controller.tuning.relay is not None) == (not word)
+
+
+def test_a_relay_test_that_tilts_the_craft_too_far_stops_and_says_so():
+    controller = ready()
+    assert controller.autotune('roll') == ''
+    said = [e.text for e in controller.on_attitude(attitude(10**9 + STEP, roll=1.0)) if isinstance(e, Event)]
+    assert controller.tuning.relay is None
+    assert any('roll: stopped, angle error 1.00 rad' in text for text in said), said
+
+
+def test_gains_without_a_blend_time_are_in_at_once():
+    controller = ready(ControllerParams(gain_blend_time=0.0))
+    controller.set_params(ControllerParams(gain_blend_time=0.0, roll_rate_p=0.05), trial=False)
+    assert controller.loop.gains[GAINS.index('roll_rate_p')] == 0.05

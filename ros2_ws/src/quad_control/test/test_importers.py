@@ -127,3 +127,13 @@ def test_an_mpu6050_recording_becomes_a_bag_with_g_upwards(tmp_path):
 def _smooth(values):
     kernel = np.ones(21) / 21.0
     return np.column_stack([np.convolve(column, kernel, 'same') for column in values.T])
+
+
+@pytest.mark.parametrize(
+    ('text', 'word'),
+    [('head\n1,2,3\n1,2,x\n', 'H1_IMU_1.csv: '), ('head\n1,2,3\n', r'expected rows of 10')],
+)
+def test_a_flight_that_is_no_table_is_named(tmp_path, text, word):
+    (tmp_path / 'H1_IMU_1.csv').write_text(text)
+    with pytest.raises(RecordingError, match=word):
+        read_phantom(tmp_path, 'H1')

@@ -150,3 +150,8 @@ def test_a_log_that_shows_nothing_is_refused(demand, rate, word):
 def test_the_period_of_a_sine_is_found_between_samples():
     t = np.arange(400) * 0.005
     assert period_of(np.sin(2.0 * math.pi * t / 0.0873), 0.005) == pytest.approx(0.0873, rel=1e-3)
+
+
+def test_a_loop_that_no_gain_makes_oscillate_is_refused():
+    with pytest.raises(ValueError, match='no gain up to 1e4'):
+        ultimate_by_experiment(LinearPlant(1e-9, 0.05, 0.005))

@@ -58,6 +58,8 @@ NANOSECONDS = 1_000_000_000
 
 def decode_imu(message: Any) -> ImuSample:
     """Decode a sensor_msgs/Imu without using its orientation."""
+    if message.angular_velocity_covariance[0] == -1.0 or message.linear_acceleration_covariance[0] == -1.0:
+        raise BadMessage('rate or specific force not measured')
     gyro = finite3(message.angular_velocity, 'angular velocity')
     force = finite3(message.linear_acceleration, 'specific force')
     return ImuSample(stamp_of(message), gyro, force, message.header.frame_id)
@@ -89,7 +91,7 @@ def decode_log(message: Any) -> SpeedSample:
 def encode_attitude(estimate: Attitude | SettledAttitude, message: Any) -> None:
     """Fill a sensor_msgs/Imu: orientation body to ENU, corrected rate and specific force.
 
-    Rates and forces carry no white noise of their own worth a number: -1 says "unknown" (REP-145).
+    The covariances of rate and force stay zero: "unknown" (sensor_msgs/Imu; -1 would say "not measured").
     """
     set_stamp(message.header, estimate.stamp)
     message.header.frame_id = estimate.frame
@@ -97,8 +99,6 @@ def encode_attitude(estimate: Attitude | SettledAttitude, message: Any) -> None:
     set3(message.angular_velocity, estimate.rate)
     set3(message.linear_acceleration, estimate.force)
     message.orientation_covariance[:] = estimate.covariance.ravel()
-    message.angular_velocity_covariance[0] = -1.0
-    message.linear_acceleration_covariance[0] = -1.0
 
 
 def decode_attitude(message: Any) -> Attitude:

@@ -29,6 +29,7 @@ from ship_inclinometer.samples import (
 from ship_inclinometer.simulation import scenario, simulate
 
 START = 10**18
+UP = (0.0, 0.0, 9.8)
 SEEDS = range(4)
 
 
@@ -322,3 +323,50 @@ def test_invalid_is_said_first_and_no_attitude_comes_with_it():
     out = estimator.on_imu(ImuSample(START, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8)))
     assert [type(e) for e in out] == [Validity]
     assert out[0].validity == INVALID
+
+
+@pytest.mark.parametrize(
+    ('feed_one', 'sensor', 'reason'),
+    [
+        (
+            lambda e, t: e.on_imu(ImuSample(t, (0.0,) * 3, (0.0,) * 3, 'imu')),
+            'imu/data_raw',
+            'zero specific force',
+        ),
+        (
+            lambda e, t: e.on_imu(ImuSample(t, (math.nan, 0.0, 0.0), UP, 'imu')),
+            'imu/data_raw',
+            'angular velocity out of range',
+        ),
+        (
+            lambda e, t: e.on_imu(ImuSample(t, (0.0,) * 3, (1e9, 0.0, 9.8), 'imu')),
+            'imu/data_raw',
+            'specific force out of range',
+        ),
+        (lambda e, t: e.on_imu(ImuSample(t, (0.0,) * 3, UP, 'camera')), 'imu/data_raw', 'foreign frame'),
+        (lambda e, t: e.on_mag(MagSample(t, (math.inf, 0.0, 0.0))), 'imu/mag', 'field out of range'),
+        (lambda e, t: e.on_mag(MagSample(t, (0.0,) * 3)), 'imu/mag', 'zero field'),
+        (
+            lambda e, t: e.on_gnss(VelocitySample(t, (1e6, 0.0, 0.0), (1.0,) * 3)),
+            'gnss/velocity',
+            'velocity out of range',
+        ),
+        (
+            lambda e, t: e.on_gnss(VelocitySample(t, (1.0, 0.0, 0.0), (math.nan,) * 3)),
+            'gnss/velocity',
+            'variance not finite',
+        ),
+        (lambda e, t: e.on_log(SpeedSample(t, math.nan)), 'log/speed', 'speed out of range'),
+        (lambda e, t: e.on_log(SpeedSample(t - 10**10, 1.0)), 'log/speed', 'older than the lag window'),
+        (lambda e, t: e.on_log(SpeedSample(t + 10**10, 1.0)), 'log/speed', 'ahead of the IMU'),
+    ],
+)
+def test_what_is_no_measurement_is_refused_by_name_and_changes_nothing(feed_one, sensor, reason):
+    estimator = AttitudeEstimator(AttitudeParams(frame_id='imu'))
+    for i in range(400):
+        estimator.on_imu(ImuSample(START + i * 5_000_000, (0.0,) * 3, UP, 'imu'))
+    before = estimator.state.copy()
+    stamp = START + 400 * 5_000_000
+    assert feed_one(estimator, stamp) == []
+    assert estimator.tally.sensor(sensor).rejected == {reason: 1}
+    np.testing.assert_array_equal(estimator.state, before)

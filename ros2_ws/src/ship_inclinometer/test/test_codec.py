@@ -14,7 +14,7 @@ from ship_inclinometer import codec
 from ship_inclinometer.bridge_params import AlarmParams, DisplayParams, ModbusParams, NmeaParams
 from ship_inclinometer.fixtures import FIXTURES
 from ship_inclinometer.params import AttitudeParams
-from ship_inclinometer.roll_analysis import RollState
+from ship_inclinometer.roll_analysis import RollCycle, RollState
 from ship_inclinometer.roll_params import RollParams
 from ship_inclinometer.samples import Angles, Attitude, Validity
 
@@ -63,6 +63,10 @@ def test_bad_messages_are_named(make):
     imu.header.stamp.sec = 5
     imu.linear_acceleration.y = math.nan
     with pytest.raises(BadMessage, match='specific force'):
+        codec.decode_imu(imu)
+    imu.linear_acceleration.y = 0.0
+    imu.angular_velocity_covariance[0] = -1.0
+    with pytest.raises(BadMessage, match='not measured'):
         codec.decode_imu(imu)
     field = make(codec.FIELD)
     field.header.stamp.sec = 5
@@ -119,3 +123,33 @@ def test_a_fixture_is_small_and_gives_a_valid_attitude_near_its_truth(name, tmp_
             errors.append(math.hypot(up[0] - up[1], side[0] - side[1]))
     assert len(errors) > 300
     assert math.degrees(math.sqrt(np.mean(np.square(errors)))) < 0.4
+
+
+def test_what_is_no_estimate_is_refused_by_name():
+    imu = zeroed(codec.IMU)
+    imu.header.stamp.sec = 5
+    imu.orientation.w = 0.5
+    with pytest.raises(BadMessage, match='quaternion norm'):
+        codec.decode_attitude(imu)
+    imu.orientation.w = 1.0
+    imu.orientation_covariance[4] = math.nan
+    with pytest.raises(BadMessage, match='covariance'):
+        codec.decode_attitude(imu)
+    twist = zeroed(codec.TWIST)
+    twist.header.stamp.sec = 5
+    twist.twist.twist.linear.x = math.nan
+    with pytest.raises(BadMessage, match='speed'):
+        codec.decode_log(twist)
+    values = zeroed(codec.VALUES)
+    values.header.stamp.sec = 5
+    with pytest.raises(BadMessage, match='not a validity'):
+        codec.decode_validity(values)
+    values.name = ['validity']
+    with pytest.raises(BadMessage, match='differ in number'):
+        codec.decode_numbers(values)
+
+
+def test_a_cycle_is_told_by_names():
+    message = zeroed(codec.VALUES)
+    codec.encode_cycle(RollCycle(STAMP, 7.0, -1, 0.3, 11.0, 0.2), message)
+    assert list(codec.decode_numbers(message).values()) == pytest.approx([0.2, -1.0, 0.3, 11.0])

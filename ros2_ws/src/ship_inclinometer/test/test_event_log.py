@@ -100,3 +100,20 @@ def test_a_file_that_is_no_log_is_named(tmp_path):
     path.write_text('not a database' * 100)
     with pytest.raises(LogError, match=r'e\.db'):
         EventLog(path)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(LogError, match=r'file/e\.db'):
+        EventLog(tmp_path / 'file' / 'e.db')
+
+
+def test_a_log_that_was_removed_is_begun_anew_and_one_that_broke_says_so(tmp_path):
+    path = tmp_path / 'e.db'
+    log = EventLog(path)
+    log.append(1, 'mark', 'a', 'b')
+    path.unlink()
+    assert log.append(2, 'mark', 'a', 'c') == 1
+    log._connection.execute('DROP TABLE event')
+    with pytest.raises(LogError, match=r'e\.db: no such table'):
+        log.append(3, 'mark', 'a', 'd')

@@ -5,6 +5,7 @@ import os
 import pty
 import shutil
 import struct
+import tempfile
 import tty
 
 import pytest
@@ -437,3 +438,44 @@ def test_modbus_serial_of_npm_reads_the_whole_map(transport):
     code, text = asyncio.run(scene())
     assert code == 0, text
     assert text.strip() == f'[{m.INPUT_COUNT},16,4]'
+
+
+def test_a_serial_line_that_goes_and_comes_back_is_served_again():
+    async def scene():
+        device, _, _ = make()
+        await device.update(VALUES, {'valid': True})
+        with contextlib.ExitStack() as files:
+
+            def line():
+                master, slave = pty.openpty()
+                files.callback(os.close, slave)
+                tty.setraw(master)
+                os.set_blocking(master, False)
+                return master, os.ttyname(slave)
+
+            first, name = line()
+            link = files.enter_context(tempfile.TemporaryDirectory()) + '/tty'
+            os.symlink(name, link)
+            server = RtuServer(device, link, 19200)
+            await server.start()
+            try:
+                assert await Line(first).ask(MINE) == REPLY
+                # The adapter is pulled out, and put in again under the same name.
+                os.unlink(link)
+                os.close(first)
+                second, name = line()
+                files.callback(os.close, second)
+                os.symlink(name, link)
+                answer = b''
+                while not answer:
+                    answer = await Line(second).ask(MINE, answered=False)
+                assert answer.endswith(REPLY)
+            finally:
+                await server.stop()
+
+    asyncio.run(asyncio.wait_for(scene(), PATIENCE))
+
+
+def test_a_baud_rate_that_no_line_has_is_refused():
+    with pytest.raises(ValueError, match="parameter 'baudrate' is 12345"):
+        RtuServer(make()[0], '/dev/null', 12345)

@@ -5,6 +5,7 @@ import pytest
 
 from kalman_core.parameters import ParameterError
 from ship_inclinometer.bridge_params import ModbusParams, NmeaParams
+from ship_inclinometer.params import AttitudeParams
 from ship_inclinometer.simulation_params import PlayParams, ShipSimulatorParams, SimulatorParams
 
 
@@ -30,3 +31,18 @@ def test_what_is_played_and_the_ship_share_no_parameter():
     played, ship = ({f.name for f in fields(kind)} for kind in (PlayParams, SimulatorParams))
     assert not played & ship
     assert len(fields(ShipSimulatorParams)) == len(played) + len(ship)
+
+
+@pytest.mark.parametrize(
+    ('change', 'name'),
+    [({'manufacturer': 'ab'}, 'manufacturer'), ({'command_port': 60000}, 'command_port')],
+)
+def test_alert_commands_need_the_code_of_a_manufacturer(change, name):
+    with pytest.raises(ParameterError, match=name):
+        NmeaParams(**change)
+    assert NmeaParams(manufacturer='ABC', command_port=60000).command_port == 60000
+
+
+def test_a_gnss_delay_that_the_window_cannot_repair_is_refused():
+    with pytest.raises(ParameterError, match="'gnss_delay' is larger than 'window'"):
+        AttitudeParams(gnss_delay=1.0, window=0.5)

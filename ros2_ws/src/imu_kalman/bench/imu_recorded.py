@@ -25,7 +25,7 @@ from imu_kalman.params import AttitudeParams
 from imu_kalman.smoother import smooth
 
 # Delays (s) that the leave-one-out fit may choose from: from none to twice the default and more.
-_SENSOR_DELAYS = (0.0, 1.2e-3, 2.4e-3, 3.6e-3, 4.8e-3)
+_SENSOR_DELAYS = (0.0, 1.2e-3, 2.4e-3, 3.6e-3, 4.8e-3, 6.0e-3)
 _MAG_DELAYS = (0.0, 3.5e-3, 7e-3, 10.5e-3, 14e-3)
 
 

@@ -45,7 +45,7 @@ _STATE = _YAW + AXIS
 ) = range(11)
 
 # Codes of `angle_step`.
-_CORRECTED, _STARTED_NOW, _PREDICTED, _REACQUIRED = range(4)
+_CORRECTED, _STARTED_NOW, _PREDICTED, _REACQUIRED, _WAITING = range(5)
 
 # A wrapped angle of which nothing is known is uniform over the circle: variance pi²/3.
 _UNKNOWN_ANGLE_VAR = math.pi**2 / 3.0
@@ -67,6 +67,12 @@ def euler_rates(roll, pitch, gx, gy, gz, limit):
 
 
 @njit(cache=True, nogil=True)
+def steepness(pitch, limit):
+    """Return 1/cos(pitch), pitch (rad) held at `limit`: how much faster than the body yaw turns."""
+    return 1.0 / math.cos(min(abs(pitch), limit))
+
+
+@njit(cache=True, nogil=True)
 def _start_axis(axis, angle, variance, bias_var):
     axis[ANGLE] = angle
     axis[P00] = variance
@@ -79,7 +85,8 @@ def _start_axis(axis, angle, variance, bias_var):
 def angle_step(state, par, sec, nanosec, gyr, acc, use_acc, out):
     """Take one sample: `gyr` (3,) rad/s, `acc` (3,) m/s² (ignored unless `use_acc`), at sec + nanosec.
 
-    Updates `state` in place and fills `out` (VALUES,). Returns (code, NIS of roll, NIS of pitch).
+    Updates `state` in place and fills `out` (VALUES,), unless it waits for a force to start from. Returns
+    (code, NIS of roll, NIS of pitch).
     """
     roll = state[_ROLL : _ROLL + AXIS]
     pitch = state[_PITCH : _PITCH + AXIS]
@@ -93,7 +100,7 @@ def angle_step(state, par, sec, nanosec, gyr, acc, use_acc, out):
     fresh = state[_STARTED] == 0.0
     if fresh or dt > par[_MAX_GAP]:
         if not use_acc:
-            return _PREDICTED, 0.0, 0.0
+            return _WAITING, 0.0, 0.0
         code = _STARTED_NOW if fresh else _REACQUIRED
         bias_var = par[_BIAS_VAR]
         if fresh and par[_ZERO_START] != 0.0:
@@ -113,7 +120,9 @@ def angle_step(state, par, sec, nanosec, gyr, acc, use_acc, out):
         turn_var = (rate_r * rate_r + rate_p * rate_p) * dt * (roll[P00] + pitch[P00])
         predict(roll, rate_r, dt, par[_Q_ANGLE], par[_Q_BIAS])
         predict(pitch, rate_p, dt, par[_Q_ANGLE], par[_Q_BIAS])
-        predict(yaw, rate_y, dt, par[_GYRO_PSD] + turn_var, 0.0)
+        # Bias and noise of the gyro turn yaw as much faster as a rate about the tilted axis does.
+        lean = steepness(pitch[ANGLE], par[_GIMBAL])
+        predict(yaw, rate_y / lean, dt * lean, par[_GYRO_PSD] * lean + turn_var / lean, 0.0)
         roll[ANGLE] = wrap(roll[ANGLE])
         pitch[ANGLE] = wrap(pitch[ANGLE])
         yaw[ANGLE] = wrap(yaw[ANGLE])
@@ -143,13 +152,16 @@ def angle_step(state, par, sec, nanosec, gyr, acc, use_acc, out):
             _start_axis(yaw, yaw[ANGLE], _UNKNOWN_ANGLE_VAR, par[_BIAS_VAR])
     state[_SEC] = sec
     state[_NANOSEC] = nanosec
-    _fill(state, par, gyr, acc, out)
+    _fill(state, par, gyr, acc, use_acc, out)
     return code, nis_roll, nis_pitch
 
 
 @njit(cache=True, nogil=True)
-def _fill(state, par, gyr, acc, out):
-    """Write orientation, bias-corrected rate, specific force and their covariances into `out`."""
+def _fill(state, par, gyr, acc, use_acc, out):
+    """Write orientation, bias-corrected rate, specific force and their covariances into `out`.
+
+    A force that is not usable is zero and marked as not measured (-1 as the first of its covariance).
+    """
     roll, pitch, yaw = state[_ROLL + ANGLE], state[_PITCH + ANGLE], state[_YAW + ANGLE]
     out[0:4] = quat_from_euler(roll, pitch, yaw)
     sr, cr = math.sin(roll), math.cos(roll)
@@ -162,12 +174,14 @@ def _fill(state, par, gyr, acc, out):
     out[7:10] = acc
     # Columns: what an error of roll, pitch and yaw is as a rotation vector in local-level axes.
     tilt = np.array(((cp * cy, -sy, 0.0), (cp * sy, cy, 0.0), (-sp, 0.0, 1.0)))
+    lean = steepness(pitch, par[_GIMBAL])
     # Columns: body rates of unit Euler rates.
     body = np.array(((1.0, 0.0, -sp), (0.0, cr, sr * cp), (0.0, -sr, cr * cp)))
     for i in range(3):
         for j in range(3):
             angle_cov = 0.0
-            rate_cov = 0.0
+            # The bias of yaw is that of the body about the vertical axis.
+            rate_cov = body[i, 2] * body[j, 2] * (lean * lean - 1.0) * state[_YAW + P11]
             for k in range(3):
                 axis = _ROLL + k * AXIS
                 angle_cov += tilt[i, k] * tilt[j, k] * state[axis + P00]
@@ -175,7 +189,9 @@ def _fill(state, par, gyr, acc, out):
             same = 1.0 if i == j else 0.0
             out[10 + 3 * i + j] = angle_cov
             out[19 + 3 * i + j] = rate_cov + same * par[_GYR_VAR]
-            out[28 + 3 * i + j] = same * par[_ACC_VAR]
+            out[28 + 3 * i + j] = same * par[_ACC_VAR] if use_acc else 0.0
+    if not use_acc:
+        out[28] = -1.0
 
 
 def _pack(p: TwoStateParams) -> np.ndarray:
@@ -296,7 +312,7 @@ class AngleFilter:
             self.tally.reject('imu/data_raw', 'specific force out of range')
         if code == _REACQUIRED and not self.tally.muted:
             self.tally.restart('angles from the accelerometer after a gap')
-        if self.state[_STARTED] == 0.0:
+        if code == _WAITING:
             return None
         return Attitude(sample.stamp, sample.frame, self._out.copy())
 

@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 
 from imu_kalman import attitude_layout as layout
-from imu_kalman.attitude_kernel import attitude_cov, carried, inertial_step, magnetic_step
+from imu_kalman.attitude_faults import hidden_force, hidden_rate, unseen_time
+from imu_kalman.attitude_kernel import attitude_cov, carried, follow_variance, inertial_step, magnetic_step
 from imu_kalman.params import AttitudeParams
 from imu_kalman.samples import VALUES, Attitude, GyroBias, ImuSample, MagSample, SettledAttitude
 from kalman_core.event_time import NANOSECONDS, EventTimeBuffer
@@ -30,24 +31,30 @@ _SCRATCH = (layout.WORK, layout.N, layout.N)
 
 
 @njit(cache=True, nogil=True)
-def stream_step(state, par, work, out, sec, nanosec, gx, gy, gz, ax, ay, az):
-    """`inertial_step`, then the estimate into `out` (VALUES,). Returns the code of the step."""
+def stream_step(state, par, work, out, sec, nanosec, gyr_var, gx, gy, gz, ax, ay, az):
+    """Take one inertial sample; write the estimate into `out` (VALUES,). Returns the code of `inertial_step`.
+
+    Rate and force are the readings that were believed; one that was not measured is the last, less certain.
+    """
+    follow_variance(state, par, gyr_var)
     code = inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az)
-    dt = max(state[layout.LAST_DT], 1e-3)
     carried(state, par, out)
-    out[4] = gx - state[layout.BIAS]
-    out[5] = gy - state[layout.BIAS + 1]
-    out[6] = gz - state[layout.BIAS + 2]
-    out[7] = ax
-    out[8] = ay
-    out[9] = az
+    period = max(state[layout.PERIOD], 1e-3)
+    deaf = unseen_time(state, layout.PUSH, 3)
     for i in range(3):
+        out[4 + i] = state[layout.LAST_GYR + i] - state[layout.BIAS + i]
+        out[7 + i] = state[layout.LAST_ACC + i]
         for j in range(3):
             k = 3 * i + j
             out[10 + k] = attitude_cov(state, par, i, j)
             out[19 + k] = state[layout.COV + layout.N * (3 + i) + 3 + j]
-        out[19 + 4 * i] += par[layout.GYRO_PSD] / dt
-        out[28 + 4 * i] = par[layout.ACC_PSD] / dt
+        blind = unseen_time(state, layout.JUMP, i)
+        out[19 + 4 * i] += par[layout.GYRO_PSD] / period
+        out[28 + 4 * i] = par[layout.ACC_PSD] / period
+        if blind > 0.0:
+            out[19 + 4 * i] += hidden_rate(state, par, blind)
+        if deaf > 0.0:
+            out[28 + 4 * i] += hidden_force(state, par, deaf)
     return code
 
 
@@ -75,7 +82,7 @@ class AttitudeFilter:
     def warm_up(self) -> None:
         """Compile the kernels, so that the first sample is not late."""
         state = np.zeros(layout.STATE)
-        stream_step(state, self._par, self._work, self._out, 0.0, 0.0, *([0.0] * 6))
+        stream_step(state, self._par, self._work, self._out, 0.0, 0.0, *([0.0] * 7))
         magnetic_step(state, self._par, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def reset(self) -> None:
@@ -119,11 +126,13 @@ class AttitudeFilter:
         """Take one field sample; it corrects heading at the end of its block. Returns settled estimates."""
         p = self.params
         mx, my, mz = sample.field
+        if not p.use_magnetometer:
+            return []
         if p.frame_id and sample.frame != p.frame_id:
             self.tally.reject(_MAG, 'foreign frame')
         elif not (abs(mx) <= p.max_field and abs(my) <= p.max_field and abs(mz) <= p.max_field):
             self.tally.reject(_MAG, 'field out of range')
-        elif mx == 0.0 and my == 0.0 and mz == 0.0:
+        elif max(abs(mx), abs(my), abs(mz)) <= layout.MIN_FIELD:
             self.tally.reject(_MAG, 'zero field')
         else:
             _, settled = self._buffer.feed(1, sample)
@@ -143,7 +152,15 @@ class AttitudeFilter:
                 self.tally.accept(_MAG, sample.stamp, float(state[layout.MAG_NIS]))
             return None
         code = stream_step(
-            state, self._par, self._work, self._out, float(sec), float(nanosec), *sample.gyr, *sample.acc
+            state,
+            self._par,
+            self._work,
+            self._out,
+            float(sec),
+            float(nanosec),
+            sample.gyr_var,
+            *sample.gyr,
+            *sample.acc,
         )
         tally = self.tally
         if code == layout.OK:

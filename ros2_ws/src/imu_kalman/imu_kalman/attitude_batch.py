@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from imu_kalman.attitude_kernel import attitude_cov, carried, inertial_step, magnetic_step
-from imu_kalman.attitude_layout import BIAS, PHASE, STATE, WORK, N, pack
+from imu_kalman.attitude_layout import BIAS, MIN_FIELD, PHASE, STATE, WORK, N, pack
 from imu_kalman.params import AttitudeParams
 from kalman_core.event_time import NANOSECONDS
 
@@ -51,8 +51,8 @@ def _within(rows: np.ndarray, limit: float) -> np.ndarray:
     return (x <= limit) & (y <= limit) & (z <= limit)
 
 
-def _alive(rows: np.ndarray, limit: float) -> np.ndarray:
-    return _within(rows, limit) & (rows != 0.0).any(axis=1)
+def _alive(rows: np.ndarray, least: float, limit: float) -> np.ndarray:
+    return _within(rows, limit) & (np.abs(rows) > least).any(axis=1)
 
 
 def _in_order(stamp: np.ndarray) -> np.ndarray:
@@ -94,8 +94,8 @@ def prepare(
             raise ValueError(f'{name} has shape {array.shape}, expected ({count}, 3)')
         arrays.append(array)
     gyr, acc, mag = arrays
-    usable = _in_order(stamp) & _within(gyr, params.max_rate) & _alive(acc, params.max_force)
-    mag_usable = _in_order(mag_stamp) & _alive(mag, params.max_field)
+    usable = _in_order(stamp) & _within(gyr, params.max_rate) & _alive(acc, 0.0, params.max_force)
+    mag_usable = _in_order(mag_stamp) & _alive(mag, MIN_FIELD, params.max_field)
     sec, nanosec = _split(stamp)
     if mag_stamp is stamp:
         mag_sec, mag_nanosec = sec, nanosec

@@ -11,6 +11,7 @@ from imu_kalman.attitude_layout import (
     ACC_SUM,
     ALIGNED,
     BIAS,
+    BIAS_VAR,
     BLIND,
     BROKEN,
     CORRECTION,
@@ -32,6 +33,7 @@ from imu_kalman.attitude_layout import (
     LOST,
     MAG_COUNT,
     MAG_WAIT,
+    MIN_FORCE,
     MOTION_ACC,
     MOTION_AGE,
     MOTION_NIS,
@@ -83,6 +85,10 @@ _ATTACK = 4.0
 _FREQUENCY_MEMORY = 10.0
 # Keeps the ratio finite before anything has moved ((m/s)²).
 _LEAST_VEL2 = 1e-9
+# A mean rate this many sigma from the known bias is a turn rather than a bias,
+_TURN_GATE = 5.0
+# unless it stays for this many times `rest_time`: no check may lock the filter out.
+_TURN_PATIENCE = 40.0
 # At rest speed (m/s) and distance from the mean place (m) are below 0.05.
 _STILL_VAR = 0.05**2
 # With a variance of both tilt angles together beyond this (rad²) corrections are not linear any more.
@@ -113,12 +119,37 @@ def hold_still(state, cov):
 
 
 @njit(cache=True, nogil=True)
+def rest_needed(state, par, cov):
+    """Return the quiet time (s) after which the mean rate is believed to be bias, infinite for a turn.
+
+    A turn that leaves the force as it is can only be one about the vertical, so the rate along the force is
+    what counts. A bias moves away slowly from what is known of it, and never beyond what `bias_sigma` says.
+    """
+    force2 = rate = change = variance = 0.0
+    for i in range(3):
+        up = state[REST_ACC + i]
+        force2 += up * up
+        rate += up * state[REST_GYR + i]
+        change += up * (state[REST_GYR + i] - state[BIAS + i])
+        for j in range(3):
+            variance += up * cov[3 + i, 3 + j] * state[REST_ACC + j]
+    gate2 = _TURN_GATE * _TURN_GATE
+    if force2 < par[MIN_FORCE] * par[MIN_FORCE] or rate * rate > gate2 * par[BIAS_VAR] * force2:
+        return math.inf
+    known = math.sqrt(max(variance, 0.0) / force2 + par[REST_PSD] / par[REST_SPAN])
+    if abs(change) / math.sqrt(force2) > _TURN_GATE * known + par[REST_RATE]:
+        return _TURN_PATIENCE * par[REST_SPAN]
+    return par[REST_SPAN]
+
+
+@njit(cache=True, nogil=True)
 def rest_update(state, par, work, cov):
     """Detect rest and, at rest, measure the bias with the mean rate of the block.
 
     Rest: for `rest_time` all block means of rate and specific force lay within a small distance of their
     running mean. Block means, not samples: noise and vibration average out, so the limits can be far below
-    what slow rolling shows (a rate that is steady for seconds tilts, and the force gives that away).
+    what slow rolling shows (a rate that is steady for seconds tilts, and the force gives that away). A steady
+    turn about the vertical does not tilt: `rest_needed` tells it from a bias.
     """
     inverse = 1.0 / state[COUNT]
     quiet = state[REST_TIME] > 0.0
@@ -131,7 +162,7 @@ def rest_update(state, par, work, cov):
     for i in range(3):
         state[REST_GYR + i] += weight * (state[GYR_SUM + i] * inverse - state[REST_GYR + i])
         state[REST_ACC + i] += weight * (state[ACC_SUM + i] * inverse - state[REST_ACC + i])
-    if state[REST_TIME] < par[REST_SPAN]:
+    if state[REST_TIME] < rest_needed(state, par, cov):
         return
     state[RESTS] += 1.0
     hold_still(state, cov)

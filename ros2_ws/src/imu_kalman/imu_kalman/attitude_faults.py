@@ -28,6 +28,7 @@ from imu_kalman.attitude_layout import (
     DEAF,
     DOUBT,
     FORCE_N,
+    GRAVITY_NORM,
     GYR_SUM,
     HIDDEN_ACC,
     J_ADDED,
@@ -44,6 +45,7 @@ from imu_kalman.attitude_layout import (
     LAST_GYR,
     LAST_MEAN,
     LONGEST,
+    MOTION_ACC,
     NEVER,
     PERIOD,
     PUSH,
@@ -119,6 +121,34 @@ def hidden_variance(state, par, time):
     turn2 = max(state[TURN_LEVEL], (par[HIDDEN_ACC] * _HIDDEN_TIME) ** 2)
     t2 = time * time
     return t2 * min(0.25 * spin2 * t2, 2.0 * turn2)
+
+
+@njit(cache=True, nogil=True)
+def hidden_rate(state, par, time):
+    """Return the variance ((rad/s)²) per axis of how much a rate held for `time` (s) may have changed."""
+    spin2 = max(state[SPIN_LEVEL], par[HIDDEN_ACC] ** 2)
+    turn2 = max(state[TURN_LEVEL], (par[HIDDEN_ACC] * _HIDDEN_TIME) ** 2)
+    return min(spin2 * time * time, 2.0 * turn2)
+
+
+@njit(cache=True, nogil=True)
+def hidden_force(state, par, time):
+    """Return the variance ((m/s²)²) per axis of how much a force held for `time` (s) may have changed.
+
+    Gravity turns in the body, and the acceleration is another one.
+    """
+    turn2 = max(state[TURN_LEVEL], (par[HIDDEN_ACC] * _HIDDEN_TIME) ** 2)
+    return state[MOTION_ACC] + GRAVITY_NORM**2 * min(turn2 * time * time, 1.0)
+
+
+@njit(cache=True, nogil=True)
+def unseen_time(state, at, i):
+    """Return for how long (s) a reading was not measured: held by the jump at `at`, or the `i`th is stuck."""
+    held = 0.0
+    if state[at + J_COUNT] != 0.0 and state[at + J_HELD] <= _MAX_JUMPS:
+        held = state[at + J_AGE]
+    stuck = state[RUN_TIME + i] if state[RUN + i] >= state[LONGEST + i] else 0.0
+    return max(held, stuck)
 
 
 @njit(cache=True, nogil=True)

@@ -22,6 +22,7 @@ from imu_kalman.attitude_layout import (
     MAG_STATUS,
     MAG_USED,
     MAG_WAIT,
+    MIN_FIELD,
     NEW_DIP,
     NEW_NORM,
     NEW_TIME,
@@ -73,14 +74,16 @@ def turn_field(state, x, y):
 @njit(cache=True, nogil=True)
 def magnetic_update(state, par, work, cov):
     """Check the block's mean field against the reference and correct heading with it."""
-    span = min(state[MAG_WAIT], _LONGEST_WAIT)
-    state[MAG_WAIT] = 0.0
     inverse = 1.0 / state[MAG_COUNT]
     mx = state[MAG_N] * inverse
     my = state[MAG_N + 1] * inverse
     mz = state[MAG_N + 2] * inverse
     horizontal = math.sqrt(mx * mx + my * my)
     norm = math.sqrt(horizontal * horizontal + mz * mz)
+    if norm < MIN_FIELD:
+        return
+    span = min(state[MAG_WAIT], _LONGEST_WAIT)
+    state[MAG_WAIT] = 0.0
     dip = math.atan2(-mz, horizontal)
     # A reference needs roll and pitch: while these are sought, any field is taken and little believed.
     disturbance = _UNKNOWN_DISTURBANCE

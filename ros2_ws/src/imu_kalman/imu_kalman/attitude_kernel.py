@@ -59,13 +59,13 @@ from imu_kalman.attitude_layout import (
     FORCE_N,
     GRAVITY,
     GYR_SUM,
+    GYR_VAR,
     HEADING_VAR,
     HELD,
     J_COUNT,
     J_STEP,
     JUMP,
     LAST_ACC,
-    LAST_DT,
     LAST_GYR,
     LEVEL,
     LEVEL_MIN,
@@ -103,6 +103,8 @@ from imu_kalman.attitude_linear import start_covariance
 
 # Change of rate times gap (rad) beyond which the attitude after the gap is unknown, not merely uncertain.
 _LOST_TURN = 0.5
+# A variance told with the rate that drops by more says that its sender has taken off a bias.
+_BIAS_TAKEN = 0.1
 # Up to this square of half the angle of a step (rad²) the series below are exact to the last bit.
 _SERIES = 0.01
 
@@ -197,9 +199,6 @@ def strapdown(state, dt, gx, gy, gz, ax, ay, az):
     state[POS + 1] += dt * (state[VEL + 1] + 0.5 * dt * fy)
     state[VEL] += dt * fx
     state[VEL + 1] += dt * fy
-    state[RATE] = wx
-    state[RATE + 1] = wy
-    state[RATE + 2] = wz
     state[SPAN] += dt
     state[COUNT] += 1.0
     state[RATE2] += dt * w2
@@ -244,6 +243,7 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
     """
     dt = elapsed(state, sec, nanosec)
     code = OK
+    gap = False
     rx, ry, rz = gx, gy, gz
     if state[PHASE] == 0.0 or dt > par[MAX_GAP] or lost(state, par, dt, gx, gy, gz):
         if ax * ax + ay * ay + az * az < par[MIN_FORCE] * par[MIN_FORCE]:
@@ -252,12 +252,13 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
         start(state, par, ax, ay, az, code == RESTARTED)
         dt = 0.0
     else:
+        # A sample is the rate at its stamp: over the step since the last one counts the mean of both.
+        rx = 0.5 * (gx + state[LAST_GYR])
+        ry = 0.5 * (gy + state[LAST_GYR + 1])
+        rz = 0.5 * (gz + state[LAST_GYR + 2])
         gap = is_gap(state, dt)
         if gap:
             bridge_gap(state, par, dt, gx, gy, gz)
-            rx = 0.5 * (gx + state[LAST_GYR])
-            ry = 0.5 * (gy + state[LAST_GYR + 1])
-            rz = 0.5 * (gz + state[LAST_GYR + 2])
         else:
             change = largest_change(state, LAST_GYR, gx, gy, gz)
             limit = jump_limit(state, JUMP, par[MIN_JUMP], par[MAX_ANGULAR_ACC], dt)
@@ -285,11 +286,13 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
     state[LAST_ACC + 2] = az
     state[SEC] = sec
     state[NANOSEC] = nanosec
-    state[LAST_DT] = dt
     if code in (OK, HELD):
         before = state[VEL], state[VEL + 1], state[POS], state[POS + 1]
         strapdown(state, dt, rx, ry, rz, ax, ay, az)
-        if dt > par[BLOCK]:
+        state[RATE] = gx - state[BIAS]
+        state[RATE + 1] = gy - state[BIAS + 1]
+        state[RATE + 2] = gz - state[BIAS + 2]
+        if gap and dt > par[BLOCK]:
             # One sample says nothing about the speed gained in a long gap.
             state[VEL], state[VEL + 1], state[POS], state[POS + 1] = before
         if state[SPAN] >= par[BLOCK] - 0.5 * dt:
@@ -302,6 +305,26 @@ def inertial_step(state, par, work, sec, nanosec, gx, gy, gz, ax, ay, az):
 
 
 @njit(cache=True, nogil=True)
+def follow_variance(state, par, variance):
+    """Follow the variance ((rad/s)²; 0: unknown) told with the next rate; when it drops the bias is new.
+
+    A driver that calibrates subtracts a bias from then on: what was learned of it would be subtracted twice.
+    """
+    if not 0.0 < variance < math.inf:
+        return
+    if variance < _BIAS_TAKEN * state[GYR_VAR]:
+        cov = state[COV:].reshape(N, N)
+        for i in range(3):
+            cov[3 + i, :] = 0.0
+            cov[:, 3 + i] = 0.0
+            cov[3 + i, 3 + i] = par[BIAS_VAR]
+            state[LAST_GYR + i] -= state[BIAS + i]
+            state[BIAS + i] = 0.0
+        state[REST_TIME] = 0.0
+    state[GYR_VAR] = variance
+
+
+@njit(cache=True, nogil=True)
 def magnetic_step(state, par, sec, nanosec, mx, my, mz):
     """Add one field sample (T) to the block, turned to local level by the attitude at its own time."""
     if state[PHASE] == 0.0:
@@ -310,7 +333,7 @@ def magnetic_step(state, par, sec, nanosec, mx, my, mz):
         # The attitude at that time is not known.
         return
     # The field changed at its stamp less its delay, which the attitude is turned to with the last rate.
-    dt = min(elapsed(state, sec, nanosec), par[BLOCK]) - par[MAG_DELAY]
+    dt = elapsed(state, sec, nanosec) - par[MAG_DELAY]
     wx = 0.5 * dt * state[RATE]
     wy = 0.5 * dt * state[RATE + 1]
     wz = 0.5 * dt * state[RATE + 2]

@@ -36,7 +36,6 @@ NEW_NORM, NEW_DIP, NEW_TIME = 53, 54, 55
 MAG_STATUS = 56
 MOTION_NIS = 57
 MAG_NIS = 58
-LAST_DT = 59
 MOTION_ACC, MOTION_VEL, MOTION_AGE = 60, 61, 62  # mean squares that give the frequency of the motion
 MAG_LEVEL = 63  # mean square of the relative disturbance of the field
 GRAVITY = 64  # specific force in local level, integrated: over the alignment, then with a short memory (3)
@@ -63,7 +62,8 @@ JUMP, PUSH = 111, 124  # jumps of the rate and of the specific force, each laid 
 # (3), integral of what lies beyond it (3); largest change from one sample to the next, of this block and of
 # the last seconds.
 J_COUNT, J_HELD, J_QUIET, J_AGE, J_ADDED, J_VALUE, J_BEYOND, J_STEP, J_LEVEL = 0, 1, 2, 3, 4, 5, 8, 11, 12
-COV = 137
+GYR_VAR = 137  # (rad/s)², variance of the rate as its sender told it last; 0: never
+COV = 138
 STATE = COV + N * N
 
 # Parameter vector.
@@ -123,6 +123,8 @@ NEVER = 1e18
 # Values of state[MAG_STATUS]: what the last block with a field did.
 MAG_NONE, MAG_USED, MAG_DISTURBED, MAG_RELEARNED = range(4)
 
+# A weaker field (T) has no usable direction: the earth's is 2e-5 at least, no small sensor resolves 1e-9.
+MIN_FIELD = 1e-9
 # Standard gravity (m/s²). Its error, and the accelerometer's scale, change tilt by that share only.
 GRAVITY_NORM = 9.80665
 # A wrapped angle of which nothing is known is uniform over the circle: variance pi²/3.

@@ -33,6 +33,12 @@ def decode_imu(message: Any) -> ImuSample:
     stamp_ns = stamp.sec * NANOSECONDS + stamp.nanosec
     if stamp_ns <= 0:
         raise BadMessage('zero stamp')
+    # REP-145: what is not measured has -1 as the first entry of its covariance.
+    gyr_var = float(message.angular_velocity_covariance[0])
+    if gyr_var == -1.0:
+        raise BadMessage('no angular velocity')
+    if message.linear_acceleration_covariance[0] == -1.0:
+        raise BadMessage('no specific force')
     rate = message.angular_velocity
     force = message.linear_acceleration
     gx, gy, gz = rate.x, rate.y, rate.z
@@ -41,7 +47,7 @@ def decode_imu(message: Any) -> ImuSample:
         raise BadMessage('angular velocity not finite')
     if not math.isfinite(ax + ay + az):
         raise BadMessage('specific force not finite')
-    return ImuSample(stamp_ns, (gx, gy, gz), (ax, ay, az), header.frame_id)
+    return ImuSample(stamp_ns, (gx, gy, gz), (ax, ay, az), header.frame_id, gyr_var)
 
 
 def decode_mag(message: Any) -> MagSample:

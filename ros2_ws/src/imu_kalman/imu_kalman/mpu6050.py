@@ -96,7 +96,9 @@ class Mpu6050Driver(ChipDriver[Mpu6050Params]):
         self._bias = np.array(params.gyro_bias)
         # Until a rest was seen only the datasheet's bound is known: uniform within it.
         given = any(params.gyro_bias)
-        self._bias_variance = 0.0 if given else params.largest_bias**2 / 3.0
+        self._unknown_bias = params.largest_bias**2 / 3.0
+        self._bias_variance = 0.0 if given else self._unknown_bias
+        self._next_variances: list[float] = []
         self.calibration_message = 'waiting for a rest' if self._calibrating else 'as by parameter'
         self.readings = 0
         self.saturated = 0
@@ -160,7 +162,8 @@ class Mpu6050Driver(ChipDriver[Mpu6050Params]):
                 self.calibration_message = result.reason
             return result
         self._bias = result.bias
-        self._bias_variance = result.variance
+        # Who listens sees from the drop of the variance that what it learned of the bias is void.
+        self._next_variances = [self._unknown_bias, result.variance]
         self._calibrating = False
         self.calibration_message = 'calibrated at rest'
         return result
@@ -333,6 +336,8 @@ class Mpu6050Driver(ChipDriver[Mpu6050Params]):
             self._rest.add(gyro[row], accel[row])
             if self._calibrating and self._rest.fresh:
                 self.calibrate()
+        if self._next_variances:
+            self._bias_variance = self._next_variances.pop(0)
         self.readings += len(counts)
         self.saturated += int((np.abs(counts[:, _MOTION_COLUMNS]) >= _FULL_SCALE).any(axis=1).sum())
         gyro = (gyro - self._bias) @ self._rotation.T

@@ -22,7 +22,11 @@ class Mpu6050Params:
     address: int = parameter(0x68, 'address: 104 (AD0 low) or 105 (AD0 high)', minimum=0x68, maximum=0x69)
     frame_id: str = parameter('imu_link', 'frame of the messages')
     rate: float = parameter(
-        200.0, 'samples per second; the nearest 1000/n is taken', unit='Hz', minimum=4.0, maximum=1000.0
+        200.0,
+        'samples per second; taken is 1000/n (8000/n with bandwidth 256), n the nearest of 1 … 256',
+        unit='Hz',
+        minimum=4.0,
+        maximum=1000.0,
     )
     bandwidth: int = parameter(98, 'low-pass: 5, 10, 20, 42, 98, 188 or 256 (off)', unit='Hz')
     gyro_range: int = parameter(500, 'full scale: 250, 500, 1000 or 2000', unit='deg/s')
@@ -97,7 +101,7 @@ class Mpu6050Params:
 
     @property
     def divider(self) -> int:
-        """SMPLRT_DIV: the nearest rate that the chip can make."""
+        """SMPLRT_DIV: the nearest divider of the chip's internal rate."""
         internal = reg.INTERNAL_RATES[self.filter_setting]
         return min(max(round(internal / self.rate) - 1, 0), 255)
 

@@ -260,7 +260,7 @@ class AttitudeParams:
         live=True,
     )
     sensor_delay: float = parameter(
-        2.4e-3,
+        4.2e-3,
         'group delay of gyro and accelerometer; attitude is carried forward by rate times delay',
         unit='s',
         minimum=0.0,
@@ -268,7 +268,7 @@ class AttitudeParams:
         live=True,
     )
     mag_delay: float = parameter(
-        7e-3, 'delay of the magnetometer behind the gyro', unit='s', minimum=0.0, maximum=0.05, live=True
+        10.5e-3, 'delay of the magnetometer behind the gyro', unit='s', minimum=0.0, maximum=0.05, live=True
     )
     delay_sigma: float = parameter(
         1e-3, 'uncertainty of sensor_delay, one sigma', unit='s', minimum=0.0, maximum=0.05, live=True

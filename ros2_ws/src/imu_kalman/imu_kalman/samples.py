@@ -25,13 +25,15 @@ VALUES = 37
 class ImuSample(NamedTuple):
     """One inertial sample in the body frame (x forward, y left, z up).
 
-    `gyr`: angular velocity (rad/s); `acc`: specific force (m/s²), +g upwards at rest.
+    `gyr`: angular velocity (rad/s); `acc`: specific force (m/s²), +g upwards at rest; `gyr_var`: variance of
+    an axis of `gyr` as its sender tells it ((rad/s)²), 0 when it does not.
     """
 
     stamp: int
     gyr: tuple[float, float, float]
     acc: tuple[float, float, float]
     frame: str = ''
+    gyr_var: float = 0.0
 
 
 class MagSample(NamedTuple):

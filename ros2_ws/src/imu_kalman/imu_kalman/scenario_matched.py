@@ -55,7 +55,8 @@ def _simulate(noise, start, rate, dt, gravity, sigma, motion, heading, field):
     body = np.zeros(3)
     for i in range(n):
         half = 0.5 * dt
-        x, y, z = rate[i, 0] * half, rate[i, 1] * half, rate[i, 2] * half
+        turn = 0.5 * half * (rate[i] + rate[max(i - 1, 0)])
+        x, y, z = turn[0], turn[1], turn[2]
         h = math.sqrt(x * x + y * y + z * z)
         s = math.sin(h) / h if h > 1e-12 else 1.0
         c = math.cos(h)
@@ -76,8 +77,8 @@ def _simulate(noise, start, rate, dt, gravity, sigma, motion, heading, field):
         a = -2.0 * motion[0] * motion[1] * v - motion[1] ** 2 * p + sigma[3] * noise[i, 6:8]
         p += dt * (v + half * a)
         v += dt * a
-        turn = heading * noise[i, 8]
-        north = math.cos(turn), math.sin(turn)
+        swing = heading * noise[i, 8]
+        north = math.cos(swing), math.sin(swing)
         force = np.array((a[0], a[1], gravity))
         around = np.array((-north[1] * field[0], north[0] * field[0], field[1]))
         w, qx, qy, qz = q

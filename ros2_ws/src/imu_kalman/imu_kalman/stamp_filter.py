@@ -15,9 +15,11 @@ import numpy as np
 # The datasheet allows the chip's clock 1 % (gyro oscillator) to 5 % (RC oscillator); 1 sigma of the start.
 _PERIOD_SIGMA = 0.02
 # Random walk of the relative period per √sample: the oscillator follows temperature, some 1e-4 in a minute.
-_PERIOD_WALK = 1e-7
+_PERIOD_WALK = 1e-6
 # An innovation beyond this many sigma, and beyond half an interval, is a stepped clock or lost samples.
 _GATE = 6.0
+# Stamps may be ahead of the clock by some periods, while they are kept from going back.
+_LEAD = 10.0
 # Scheduling of the computer: times of reading are this uncertain beside the interval (s).
 _JITTER = 50e-6
 
@@ -58,7 +60,12 @@ class StampFilter:
         width = (latest - earliest) * 1e-9
         middle = (earliest + latest) // 2
         variance = width * width / 12.0 + _JITTER**2
-        if self._newest is not None and not self._correct(count, middle, width, variance):
+        if self._newest is not None:
+            fits = self._correct(count, middle, width, variance)
+        else:
+            # Samples may have been lost, but the clock never goes back by itself.
+            fits = self._last is None or latest > self._last - round(_LEAD * self.period * 1e9)
+        if not fits:
             self._restart()
             self._last = None
         if self._newest is None:

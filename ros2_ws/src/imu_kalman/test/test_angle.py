@@ -150,3 +150,36 @@ def test_whatever_comes_no_estimate_is_ever_non_finite_and_clean_data_is_followe
     _, rpy = feed(estimator, 200, acc=acc, first=first)
     assert rpy.angles[0] == pytest.approx(0.4, abs=0.05)
     assert rpy.angles[1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_after_a_gap_without_a_usable_force_nothing_is_said_until_there_is_one():
+    estimator = AngleFilter()
+    feed(estimator, 100)
+    first = 10**9 + 300 * DT
+    assert feed(estimator, 50, gyr=(1.0, 0.0, 0.0), acc=(0.0, 0.0, 0.0), first=first) == []
+    _, rpy = feed(estimator, 1, acc=(0.0, 9.81, 0.0), first=first + 50 * DT)
+    assert rpy.angles[0] == pytest.approx(math.pi / 2)
+    assert estimator.tally.restarts == ['angles from the accelerometer after a gap']
+
+
+def test_a_force_that_is_not_usable_is_marked_as_not_measured():
+    estimator = AngleFilter()
+    measured, _ = feed(estimator, 100)
+    assert measured.values[28] > 0.0
+    attitude, _ = feed(estimator, 1, acc=(0.0, 0.0, 0.1), first=10**9 + 100 * DT)
+    np.testing.assert_array_equal(attitude.values[7:10], 0.0)
+    assert attitude.values[28] == -1.0
+
+
+@pytest.mark.parametrize('values', [{}, SHIP])
+@pytest.mark.parametrize('pitch', [-1.3, 0.0, 0.5, 1.0, 1.3])
+def test_a_bias_about_the_vertical_of_a_pitched_body_is_within_what_the_covariances_say(values, pitch):
+    params = TwoStateParams(**values)
+    acc = tuple(Rotation.from_euler('y', pitch).inv().apply([0.0, 0.0, 9.81]).tolist())
+    bias = (0.0, 0.0, params.bias_sigma)
+    attitude, rpy = feed(AngleFilter(params), 300, gyr=bias, acc=acc)
+    # One sigma of bias is one sigma of yaw, however much faster than the body it turns.
+    assert rpy.angles[2] ** 2 < 1.2 * attitude.orientation_covariance[2, 2]
+    attitude, _ = feed(AngleFilter(params), 20_000, gyr=bias, acc=acc)
+    nees = attitude.rate @ np.linalg.solve(attitude.rate_covariance, attitude.rate)
+    assert nees < 3.0 * 1.2

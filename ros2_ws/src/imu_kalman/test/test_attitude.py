@@ -81,6 +81,7 @@ def test_arrays_skip_what_the_stream_rejects():
     acc[650] = 0.0
     mag[700] = np.inf
     mag[701] = 0.0
+    mag[702] = 1e-170
     stamp[800] = stamp[799]
     bad = ship._replace(gyr=gyr, acc=acc, mag=mag, stamp=stamp)
     batch = filter_batch(stamp, gyr, acc, mag)
@@ -163,6 +164,34 @@ def test_a_rolling_ship_is_never_taken_for_rest_and_attitude_holds_the_bars(roll
     assert heading < 1.2  # the bar of 1.0 holds over 600 s, 50 seeds
 
 
+@pytest.mark.parametrize('rate', [10.0, 19.0, 20.0])
+def test_a_sensor_slower_than_a_block_holds_the_attitude(rate):
+    params = AttitudeParams(sensor_delay=0.0, mag_delay=0.0)
+    ship = rolling_ship(ShipParams(rate=rate, duration=200.0), seed=0)
+    late = slice(round(60 * rate), None)
+    for jitter in (0.0, 2e-3):
+        moved = np.random.default_rng(0).normal(0.0, jitter * 1e9, len(ship.stamp)).astype(np.int64)
+        out = filter_batch(ship.stamp + moved, ship.gyr, ship.acc, ship.mag, params=params)
+        _, heading, inclination = errors(out.orientation, ship.orientation)[late].T
+        assert rms(inclination) < 0.5
+        assert rms(heading) < 2.0
+        variance = out.covariance[late, 0] + out.covariance[late, 3]
+        assert np.mean(np.radians(inclination) ** 2 / variance) < 2.0
+
+
+def test_fields_between_the_samples_of_a_slow_gyro_are_taken_where_they_were_measured():
+    # 5 samples a second of a turn at 0.6 rad/s, the field halfway between them: half a sample is 3.4 degrees.
+    n, rate = 300, 5.0
+    stamp = 10**9 + np.round(np.arange(n) * 1e9 / rate).astype(np.int64)
+    truth = Rotation.from_rotvec(np.outer(0.6 * np.arange(n) / rate, [0.0, 0.0, 1.0]))
+    between = truth * Rotation.from_rotvec([0.0, 0.0, 0.06])
+    params = AttitudeParams(sensor_delay=0.0, mag_delay=0.0, block=0.02)
+    gyr, acc = np.tile([0.0, 0.0, 0.6], (n, 1)), np.tile([0.0, 0.0, 9.81], (n, 1))
+    half = stamp + 10**8
+    out = filter_batch(stamp, gyr, acc, between.inv().apply(FIELD), mag_stamp=half, params=params)
+    assert (rotation(out.orientation[-1]) * truth[-1].inv()).magnitude() < math.radians(0.5)
+
+
 def test_without_a_field_roll_and_pitch_hold_and_yaw_says_that_it_drifts():
     ship = rolling_ship(ShipParams(duration=120.0), seed=0)
     out = filter_batch(ship.stamp, ship.gyr, ship.acc)
@@ -173,6 +202,13 @@ def test_without_a_field_roll_and_pitch_hold_and_yaw_says_that_it_drifts():
         ship.stamp, ship.gyr, ship.acc, ship.mag, params=AttitudeParams(use_magnetometer=False)
     )
     np.testing.assert_array_equal(with_field_off.orientation, out.orientation)
+
+
+def test_fields_that_are_not_asked_for_are_neither_accepted_nor_refused():
+    estimator = AttitudeFilter(AttitudeParams(use_magnetometer=False))
+    feed(estimator, still(Rotation.identity(), 1.0))
+    mag = estimator.tally.sensor('imu/mag')
+    assert (mag.accepted, mag.rejected.total(), mag.nis) == (0, 0, None)
 
 
 def test_a_passing_magnet_is_rejected_and_a_lasting_one_becomes_the_reference():
@@ -255,7 +291,19 @@ def test_error_is_what_the_covariance_says(estimate):
     assert low < np.mean(nees) < high
 
 
-numbers = st.one_of(st.floats(allow_nan=True, allow_infinity=True, width=64), st.floats(-100.0, 100.0))
+@pytest.mark.parametrize('field', [5e-324, 1e-170, 1e-9])
+def test_a_field_too_weak_to_have_a_direction_is_none(field):
+    estimator = AttitudeFilter()
+    feed(estimator, still(Rotation.identity(), 2.0, field=(field, 0.0, 0.0)))
+    assert np.isfinite(estimator.state).all()
+    assert estimator.tally.sensors['imu/mag'].rejected['zero field'] == 400
+
+
+numbers = st.one_of(
+    st.floats(allow_nan=True, allow_infinity=True, width=64),
+    st.floats(-100.0, 100.0),
+    st.sampled_from((0.0, 5e-324, 1e-170, 1e-9, 1.1e-9)),
+)
 vectors = st.tuples(numbers, numbers, numbers)
 steps = st.one_of(st.integers(-(10**9), 3 * 10**9), st.just(DT))
 

@@ -58,9 +58,28 @@ makers = pytest.mark.parametrize('make', [from_rosbags, from_rclpy])
 @makers
 def test_samples_are_read_by_field_name(make):
     imu = decode_imu(make('sensor_msgs/msg/Imu'))
-    assert imu == (3_000_000_004, (0.1, 0.2, 0.3), (1.0, 2.0, 9.0), 'imu_link')
+    assert imu == (3_000_000_004, (0.1, 0.2, 0.3), (1.0, 2.0, 9.0), 'imu_link', 0.0)
     mag = decode_mag(make('sensor_msgs/msg/MagneticField'))
     assert mag == (3_000_000_004, (1e-6, 2e-5, -4e-5), 'imu_link')
+
+
+@makers
+@pytest.mark.parametrize(
+    ('part', 'reason'),
+    [('angular_velocity', 'no angular velocity'), ('linear_acceleration', 'no specific force')],
+)
+def test_what_is_marked_as_not_measured_is_refused(make, part, reason):
+    message = make('sensor_msgs/msg/Imu')
+    getattr(message, f'{part}_covariance')[0] = -1.0
+    with pytest.raises(BadMessage, match=reason):
+        decode_imu(message)
+
+
+@makers
+def test_the_variance_of_the_rate_is_read(make):
+    message = make('sensor_msgs/msg/Imu')
+    message.angular_velocity_covariance[0] = 0.04
+    assert decode_imu(message).gyr_var == 0.04
 
 
 @makers

@@ -31,6 +31,51 @@ def test_stamps_increase_and_lie_in_the_past(counts, error, seed):
     assert filter_.restarts == 0
 
 
+def run(filter_, now, count, period=10_000_000):
+    for _ in range(count):
+        now += period
+        stamps = filter_.update(1, now - period, now)
+    return now, stamps
+
+
+def test_a_clock_set_back_while_samples_were_lost_leaves_no_stamp_in_the_future():
+    filter_ = StampFilter(0.01)
+    now, _ = run(filter_, 5000 * SECOND, 100)
+    filter_.reset()
+    now, stamps = run(filter_, now - 3600 * SECOND, 1)
+    assert filter_.restarts == 1
+    assert stamps[-1] <= now
+    _, stamps = run(filter_, now, 100)
+    assert filter_.restarts == 1
+
+
+def test_lost_samples_alone_restart_nothing():
+    filter_ = StampFilter(0.01)
+    now, before = run(filter_, 5000 * SECOND, 100)
+    for _ in range(10):
+        filter_.reset()
+        now, stamps = run(filter_, now, 3)
+        assert stamps[-1] > before[-1]
+        before = stamps
+    assert filter_.restarts == 0
+
+
+def test_a_chip_that_warms_up_stays_within_what_the_stamps_say_of_themselves():
+    rng, filter_, errors = np.random.default_rng(0), StampFilter(0.005), []
+    real, taken, now = 0.00505, 0.0, 0.0
+    for _ in range(12_000):
+        now, count = now + 0.01 + rng.uniform(0.0, 2e-5), 0
+        while taken + real <= now:
+            taken, count = taken + real, count + 1
+            if now > 60.0:
+                real += 0.005 * 1e-4 * 0.005 / 60.0  # 1e-4 in a minute
+        if count:
+            look = 10 * SECOND + int(now * SECOND)
+            stamps = filter_.update(count, look - int(filter_.period * SECOND), look)
+            errors.append(stamps[-1] / SECOND - 10.0 - taken)
+    assert abs(np.mean(errors[-3000:])) < filter_.sigma
+
+
 def test_a_stepped_clock_restarts_the_stamps_and_is_counted():
     period, filter_ = 0.01, StampFilter(0.01)
     now = 50 * SECOND

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnostics of a node: per sensor rate, age, NIS, accepted and rejected with reason; processing time.
 
-WARN: samples were rejected since the last report, or an optional input is absent though it was seen before.
+WARN: samples were rejected since the last report, or an optional input that was a stream is absent for 5 s.
 ERROR: a required input is stale (older than its timeout) or never came.
 """
 
@@ -27,6 +27,10 @@ OK, WARN, ERROR, STALE = (
 )
 # Processing times kept for the percentile: two seconds at 500 Hz.
 _TIMINGS = 1000
+# An input without a timeout is absent after this time (s): GNSS, the slowest stream, comes once a second.
+_ABSENT = 5.0
+# What had news in this many reports in a row is a stream; a latched or rare message is not.
+_STREAM = 10
 
 
 @dataclass(slots=True)
@@ -38,6 +42,7 @@ class InputState:
     arrived: int = 0
     reported_count: int = 0
     reported_rejected: Counter[str] = field(default_factory=Counter)
+    reports_in_a_row: int = 0
 
 
 class Timings:
@@ -83,6 +88,8 @@ class Reporter:
         # What was withdrawn since (a late sample that fits after all) leaves a count smaller: none is new.
         fresh = sensor.rejected - state.reported_rejected
         rate = (state.count - state.reported_count) / elapsed
+        if state.reports_in_a_row < _STREAM:
+            state.reports_in_a_row = state.reports_in_a_row + 1 if rate > 0.0 else 0
         state.reported_count, state.reported_rejected = state.count, sensor.rejected.copy()
         age = (now - state.arrived) * 1e-9 if state.count else float('inf')
         values: dict[str, Any] = {
@@ -100,6 +107,8 @@ class Reporter:
         level, text = OK, 'ok'
         if port.timeout and age > port.timeout:
             level, text = ERROR, f'stale: no message for {age:.1f} s' if state.count else 'no message yet'
+        elif not port.timeout and state.reports_in_a_row == _STREAM and age > _ABSENT:
+            level, text = WARN, f'absent: no message for {age:.1f} s'
         elif fresh:
             level, text = WARN, f'{fresh.total()} rejected, mostly: {fresh.most_common(1)[0][0]}'
         return status(f'{self._name}: {port.topic}', level, text, values)

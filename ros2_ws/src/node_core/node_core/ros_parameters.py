@@ -115,6 +115,11 @@ class NodeParameters:
 
     def _apply(self, parameters: list[Parameter]) -> None:
         merged = self._merged(parameters)
+        changed = any(value != self._values[cls] for cls, value in merged.items())
+        self._values.update(merged)
+        if changed:
+            for listener in self._listeners:
+                listener()
         # A whole number given for a float is stored as the float, so that others read the declared type.
         floats = [
             Parameter(p.name, Parameter.Type.DOUBLE, float(p.value))
@@ -124,9 +129,5 @@ class NodeParameters:
             and isinstance(self._fields[p.name][1].default, float)
         ]
         if floats:
+            # Comes back here and changes nothing.
             self._node.set_parameters(floats)
-            return
-        if merged:
-            self._values.update(merged)
-            for listener in self._listeners:
-                listener()

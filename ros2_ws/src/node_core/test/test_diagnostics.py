@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the reporter says of an input whose counts go up and down."""
 
+import time
+
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from kalman_core.health import Tally
@@ -8,9 +11,9 @@ from node_core.diagnostics import InputState, Reporter
 from node_core.ports import Input
 
 
-def reporter():
+def reporter(state=None):
     tally = Tally()
-    state = InputState(Input('imu', 'sensor_msgs/msg/Imu', lambda message: message, 'take'))
+    state = state or InputState(Input('imu', 'sensor_msgs/msg/Imu', lambda message: message, 'take'))
     return tally, Reporter('filter', {'imu': state}, tally)
 
 
@@ -48,3 +51,27 @@ def test_restarts_are_counted_beyond_those_that_are_kept():
         tally.restart(f'number {number}')
     own = {pair.key: pair.value for pair in said(r)[0].values}
     assert (own['restarts'], own['last_restart']) == ('1500', 'number 1499')
+
+
+@pytest.mark.parametrize(
+    ('arrivals', 'level', 'message'),
+    [
+        ([3] * 20, DiagnosticStatus.WARN, 'absent: no message for 60.0 s'),  # a stream
+        ([1, 0, 2, 0, 1] * 5, DiagnosticStatus.OK, 'ok'),  # news now and then
+        ([1], DiagnosticStatus.OK, 'ok'),  # told once
+        ([], DiagnosticStatus.OK, 'ok'),  # never there
+    ],
+)
+def test_only_an_optional_stream_that_has_ended_is_called_absent(arrivals, level, message):
+    state = InputState(Input('imu', 'sensor_msgs/msg/Imu', lambda message: message, 'take'))
+    _, r = reporter(state)
+    for new in arrivals:
+        state.count += new
+        state.arrived = time.monotonic_ns()
+        assert said(r)[1].level == DiagnosticStatus.OK
+    state.arrived -= 60 * 10**9
+    _, imu, _ = said(r)
+    assert (imu.level, imu.message) == (level, message)
+    state.count += 1
+    state.arrived = time.monotonic_ns()
+    assert said(r)[1].level == DiagnosticStatus.OK

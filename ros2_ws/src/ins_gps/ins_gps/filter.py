@@ -322,14 +322,16 @@ class NavigationFilter:
         if fix is None:
             self.tally.reject('loose fix', 'no consistent fix')
             return
-        self._use_position(stamp, fix.geodetic, ned_covariance(fix.position, fix.geodetic), 'loose fix')
+        covariance = ned_covariance(fix.position, fix.geodetic)
+        self._use_position(stamp, fix.geodetic, covariance, 'loose fix', since)
         # The paper's loose coupling knows positions only.
         if fix.velocity is not None and self.params.states == 'full':
             mat = mat_ecef_from_ned(fix.geodetic[0], fix.geodetic[1])
             covariance = mat.T @ fix.velocity.covariance[:3, :3] @ mat
             self._use_velocity(stamp, mat.T @ fix.velocity.position, covariance, 'loose velocity')
 
-    def _use_position(self, stamp: int, geodetic, covariance, name: str) -> bool:
+    def _use_position(self, stamp: int, geodetic, covariance, name: str, since: float) -> None:
+        """Correct with a fix `since` seconds after the last; one refused for long is believed after all."""
         s = self.state
         mat_en = mat_ecef_from_ned(self.nav[0], self.nav[1])
         lever_n, site = np.empty(3), np.empty(3)
@@ -339,24 +341,29 @@ class NavigationFilter:
         H[:, at.POS : at.POS + 3] = np.eye(3)
         x, y, z = lever_n
         H[:, at.ATT : at.ATT + 3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-        return self._vector(stamp, H, nu, covariance, name)
+        again = s[at.LOST] > self.params.lost_time
+        if again:
+            # As far off as the fix says: what it does not measure keeps its worth.
+            self.covariance[at.POS : at.POS + 3, at.POS : at.POS + 3] += np.outer(nu, nu)
+        if not self._vector(stamp, H, nu, covariance, name):
+            s[at.LOST] += since
+            return
+        s[at.LOST] = 0.0
+        if again and not self.tally.muted:
+            self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
 
-    def _use_velocity(self, stamp: int, velocity, covariance, name: str) -> bool:
+    def _use_velocity(self, stamp: int, velocity, covariance, name: str) -> None:
         s = self.state
         mat_nb = matrix_from_quat(self.nav[6:10])
         now = np.empty(3)
         ch.antenna_velocity(s, self.config, mat_nb, np.eye(3), now)
         H = np.zeros((3, len(self.covariance)))
         H[:, at.VEL : at.VEL + 3] = np.eye(3)
-        return self._vector(stamp, H, velocity - now, covariance, name)
+        self._vector(stamp, H, velocity - now, covariance, name)
 
     def _vector(self, stamp: int, H, nu, covariance, name: str) -> bool:
-        gate = math.inf if self.state[at.LOST] > self.params.lost_time else _GATE_POSITION
-        nis, used = vector_update(self.state, self.channels, H, nu, covariance, gate)
+        nis, used = vector_update(self.state, self.channels, H, nu, covariance, _GATE_POSITION)
         if used:
-            if gate == math.inf:
-                self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
-            self.state[at.LOST] = 0.0
             self.tally.accept(name, stamp, nis, _GATE_POSITION)
         else:
             self.tally.reject(name, 'innovation gate')
@@ -379,8 +386,7 @@ class NavigationFilter:
         now = sec + 1e-9 * nsec
         since = now - s[at.FIX_SEC] if s[at.FIX_SEC] else 0.0
         s[at.FIX_SEC] = now
-        if not self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'gnss/fix'):
-            s[at.LOST] += since
+        self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'gnss/fix', since)
         self._align(since)
         return self._fix_estimate(sample.stamp)
 

@@ -199,3 +199,90 @@ def test_an_epoch_with_fewer_satellites_than_it_says_is_read(tmp_path):
     path = tmp_path / 'cut.obs'
     path.write_text('\n'.join([*head, *epochs, '']))
     assert [len(epoch.rows) for epoch in read_observations(path).epochs] == [2, 1, 1]
+
+
+def test_doctor_names_what_is_wrong_with_the_stamps_and_values_of_an_imu():
+    run = simulate(replace(BASE, duration=30.0), 5)
+
+    def said(stamps, rate=run.rate, force=run.force):
+        return {f.check: f.text for f in check_imu(stamps, rate, force) if f.level != 'info'}
+
+    stamps = run.stamps[1:]
+    assert 'only 3 IMU samples' in said(stamps[:3], run.rate[:3], run.force[:3])['imu']
+    assert 'do not increase' in said(np.full_like(stamps, 7))['imu stamps']
+    back = stamps.copy()
+    back[50] = back[40]
+    assert '1 IMU stamps repeat or go back' in said(back)['imu stamps']
+    late = stamps.copy()
+    late[100:] += 2 * 10**9
+    assert '1 gaps in the IMU, the longest 2.0' in said(late)['imu gaps']
+    broken = run.rate.copy()
+    broken[7, 1] = np.nan
+    assert '1 IMU samples are not finite' in said(stamps, rate=broken)['imu values']
+
+
+def test_doctor_tells_clocks_apart_and_says_when_it_cannot():
+    run = simulate(replace(BASE, duration=120.0), 4)
+    imu, gnss, velocity = run.stamps[1:], run.stamps[::20], run.truth[::20, 3:6]
+
+    def text(shift=0, turned=run.rate, speed=velocity):
+        return ' '.join(f.text for f in check_time(imu, turned, gnss + shift, speed))
+
+    assert 'do not overlap' in text(10**12)
+    assert '18 s' in ' '.join(
+        f.text for f in check_time(imu[:100], run.rate[:100], imu[::20][:9] + 18 * 10**9, velocity[:9])
+    )
+    assert 'too few turns' in text(speed=np.tile([10.0, 0.0, 0.0], (len(velocity), 1)))
+    noise = np.random.default_rng(1).standard_normal(run.rate.shape)
+    assert 'do not match' in text(turned=noise)
+
+
+def test_doctor_names_what_a_receiver_does_not_deliver():
+    run = simulate(replace(BASE, duration=10.0), 6)
+    assert 'only 1 GNSS epochs' in check_gnss(run.epochs[:1])[0].text
+    epochs = [GnssEpoch(e.stamp, e.rows.copy()) for e in run.epochs]
+    for epoch in epochs:
+        epoch.rows[:, 4:6] = np.nan
+    found = {f.check: f.level for f in check_gnss(epochs)}
+    assert found['carrier'] == 'warning'
+    assert found['doppler'] == 'info'
+
+
+HEADER = """     3.04           OBSERVATION DATA    M                   RINEX VERSION / TYPE
+G    1 C1C                                                  SYS / # / OBS TYPES
+                                                            END OF HEADER
+"""
+
+
+@pytest.mark.parametrize(
+    ('text', 'word'),
+    [
+        ('', 'expected a RINEX header'),
+        (HEADER.replace('OBSERVATION', 'NAVIGATION '), r'line 1: expected a RINEX 2-4 observation file'),
+        (HEADER.replace('3.04', '1.00'), r'line 1: expected a RINEX 2-4'),
+        (HEADER.split('\n', 1)[1], 'expected a RINEX header'),
+        (HEADER + 'G01  20000000.000\n', 'line 4: expected an epoch record'),
+        (HEADER + '> 2024 01 01 00 00  x.0000000  0  1\nG01  20000000.000\n', 'malformed'),
+    ],
+)
+def test_what_is_no_observation_file_is_named(tmp_path, text, word):
+    path = tmp_path / 'x.obs'
+    path.write_text(text)
+    with pytest.raises(RinexError, match=word):
+        read_observations(path)
+
+
+def test_an_observation_file_cut_off_within_an_epoch_keeps_those_before(tmp_path):
+    path = tmp_path / 'x.obs'
+    epoch = '> 2024 01 01 00 00  {}.0000000  0  2\nG01  20000000.000\nG02  21000000.000\n'
+    event = '> 2024 01 01 00 00  3.0000000  4  1\n  a comment                          COMMENT\n'
+    path.write_text(HEADER + epoch.format(1) + event + epoch.format(2).rsplit('G02', 1)[0])
+    assert [len(e.rows) for e in read_observations(path).epochs] == [2]
+
+
+def test_an_absent_or_foreign_navigation_file_is_named(tmp_path):
+    with pytest.raises(RinexError, match=r'gone\.nav: no such file'):
+        read_navigation(tmp_path / 'gone.nav')
+    (tmp_path / 'x.nav').write_text('nonsense\n')
+    with pytest.raises(RinexError, match=r'x\.nav'):
+        read_navigation(tmp_path / 'x.nav')

@@ -8,7 +8,7 @@ from bag_tools.bag import zeroed
 from ins_gps import codec
 from ins_gps.estimator import InsGpsEstimator
 from ins_gps.odometry import body_quaternion
-from ins_gps.params import FilterParams
+from ins_gps.params import FilterParams, SimulatorParams
 from ins_gps.samples import (
     OBSERVATION_COLUMNS,
     BiasEstimate,
@@ -19,8 +19,8 @@ from ins_gps.samples import (
     NavigationEstimate,
     SettledEstimate,
 )
-from ins_gps.scenarios import truth_estimate
-from ins_gps.simulation import Scenario
+from ins_gps.scenarios import scenario_of, truth_estimate
+from ins_gps.simulation import Outage, Scenario
 from ins_gps.simulation_gnss import simulate
 from kalman_core.rotation import euler_from_quat, quat_from_euler
 from node_core.driver import EstimatorDriver
@@ -175,3 +175,45 @@ def test_the_driver_feeds_it_from_messages(run):
     values = driver.estimator.diagnostics()
     assert values['running']
     assert any(name.startswith('G01') for name in values)
+
+
+def _nav_sat_fix():
+    message = zeroed('sensor_msgs/msg/NavSatFix')
+    message.header.stamp.sec = 5
+    message.status.status = 0
+    message.latitude, message.longitude, message.altitude = 21.0, 105.0, 10.0
+    message.position_covariance[:] = np.diag([1.0, 4.0, 9.0]).ravel()
+    message.position_covariance_type = 2
+    return message
+
+
+def test_a_fix_is_read_in_radians_and_its_covariance_turned_to_ned():
+    sample = codec.decode_fix(_nav_sat_fix())
+    np.testing.assert_allclose(sample.geodetic, [np.radians(21.0), np.radians(105.0), 10.0])
+    np.testing.assert_allclose(np.diag(sample.covariance), [4.0, 1.0, 9.0])
+
+
+@pytest.mark.parametrize(
+    ('spoil', 'word'),
+    [
+        (lambda m: setattr(m.status, 'status', -1), 'no fix'),
+        (lambda m: setattr(m, 'latitude', 91.0), 'out of range'),
+        (lambda m: setattr(m, 'altitude', float('nan')), 'not finite'),
+        (lambda m: setattr(m, 'position_covariance_type', 0), 'covariance unknown'),
+        (lambda m: m.position_covariance.__setitem__(0, -1.0), 'not positive definite'),
+    ],
+)
+def test_a_fix_that_cannot_be_used_is_refused_with_the_reason(spoil, word):
+    message = _nav_sat_fix()
+    spoil(message)
+    with pytest.raises(BadMessage, match=word):
+        codec.decode_fix(message)
+
+
+def test_the_simulators_parameters_are_the_scenario(run):
+    start = run.stamps[0]
+    wanted = SimulatorParams(outage_start=10.0, outage_end=20.0, outage_left=3, budget='standalone')
+    scenario = scenario_of(wanted, int(start))
+    assert scenario.outages == (Outage(10.0, 20.0, 3),)
+    assert scenario.start == start
+    assert scenario_of(SimulatorParams(satellites='paper'), int(start)).origin[:2] == (0.0, 0.0)

@@ -164,9 +164,10 @@ def test_it_starts_from_rest_and_aligns_by_the_course():
     assert abs(error[8]) < math.radians(5.0)
 
 
-def test_a_false_position_recovers_and_says_so():
+@pytest.mark.parametrize('mode', ['tight_tdcp', 'loose'])
+def test_a_false_position_recovers_and_says_so(mode):
     run = simulate(SHORT, 11)
-    navigation = NavigationFilter(filter_params(DGPS, lost_time=5.0))
+    navigation = NavigationFilter(filter_params(DGPS, lost_time=5.0, mode=mode))
     nav = run.truth[0].copy()
     nav[0] += 1e-3  # 6 km, believed to 1 m
     navigation.initialise(int(run.stamps[0]), nav, START_SIGMAS, run.clock[0], (1.0, 0.1))

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loose coupling: positions and velocities that a receiver has computed itself."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ins_gps.estimator import InsGpsEstimator
+from ins_gps.evaluation import filter_params
+from ins_gps.params import FilterParams
+from ins_gps.samples import FixEstimate, NavigationEstimate, PositionSample, VelocitySample
+from ins_gps.simulation import DGPS, HG1700, Scenario
+from ins_gps.simulation_gnss import simulate
+from ins_gps.solution import error_of
+from kalman_core.consistency import chi2_band
+from kalman_core.earth import ecef_from_geodetic, geodetic_from_ecef
+
+SCENARIO = Scenario(trajectory='s_turns', duration=120.0, imu_rate=50.0, imu=HG1700)
+SIGMA, SPEED_SIGMA = np.array([1.5, 1.5, 3.0]), 0.1  # m NED, m/s
+RUN = simulate(SCENARIO, 1)
+
+
+def moved(geodetic, ned):
+    """Return `geodetic` (rad, m) moved by `ned` (m)."""
+    from kalman_core.earth import mat_ecef_from_ned
+
+    at = np.array(ecef_from_geodetic(*geodetic)) + mat_ecef_from_ned(geodetic[0], geodetic[1]) @ ned
+    return np.array(geodetic_from_ecef(at))
+
+
+def fixes(run, seed, spoil=lambda second, ned: ned):
+    """Return a fix and a velocity per second of `run`, with white errors of SIGMA and SPEED_SIGMA."""
+    rng = np.random.default_rng(seed)
+    samples = []
+    for i in range(0, len(run.stamps), 50):
+        truth, stamp = run.truth[i], int(run.stamps[i])
+        ned = spoil(i // 50, SIGMA * rng.standard_normal(3))
+        samples.append(PositionSample(stamp, moved(truth[:3], ned), np.diag(SIGMA**2)))
+        speed = truth[3:6] + SPEED_SIGMA * rng.standard_normal(3)
+        samples.append(VelocitySample(stamp, speed, np.eye(3) * SPEED_SIGMA**2))
+    return samples
+
+
+def feed(run, samples, params):
+    """Run IMU and `samples` in order of time; return the estimator, its estimates and its fixes."""
+    estimator = InsGpsEstimator(params)
+    handlers = {PositionSample: estimator.on_position, VelocitySample: estimator.on_velocity}
+    events = sorted([*run.imu_samples(), *samples], key=lambda s: s.stamp)
+    out = []
+    for sample in events:
+        out += handlers.get(type(sample), estimator.on_imu)(sample) or []
+    return (
+        estimator,
+        [e for e in out if type(e) is NavigationEstimate],
+        [e for e in out if type(e) is FixEstimate],
+    )
+
+
+def errors(run, estimates, after):
+    """Return position and velocity errors (k, 6) and their squares over covariance (k,), `after` s."""
+    index = {int(s): i for i, s in enumerate(run.stamps)}
+    rows, nees = [], []
+    for e in estimates:
+        if (e.stamp - run.stamps[0]) * 1e-9 < after:
+            continue
+        nav = np.r_[e.geodetic, e.velocity, e.q_nb]
+        error = error_of(nav, run.truth[index[e.stamp]])[:6]
+        rows.append(error)
+        nees.append(error @ np.linalg.solve(e.covariance[:6, :6], error))
+    return np.array(rows), np.array(nees)
+
+
+PARAMS = filter_params(DGPS, HG1700, mode='loose', alignment='velocity')
+
+
+def test_fixes_and_velocities_alone_start_it_and_are_smoothed_by_the_imu():
+    _, estimates, answers = feed(RUN, fixes(RUN, 1), PARAMS)
+    error, _ = errors(RUN, estimates, 60.0)
+    rms = np.sqrt(np.mean(error**2, axis=0))
+    assert (rms[:3] < 0.6 * SIGMA).all(), rms
+    assert (rms[3:] < SPEED_SIGMA).all(), rms
+    assert len(answers) > 100
+
+
+def test_its_error_is_what_its_covariance_says():
+    nees = []
+    for seed in range(12):
+        run = simulate(SCENARIO, 100 + seed)
+        _, estimates, _ = feed(run, fixes(run, seed), PARAMS)
+        nees.append(errors(run, estimates[-1:], 0.0)[1][0])
+    low, high = chi2_band(0.95, 6, 12)
+    assert low < np.mean(nees) < high
+
+
+def test_a_wild_fix_is_refused_and_a_lasting_one_taken_after_the_lost_time():
+    def wild(second, ned):
+        return ned + (np.array([300.0, 0.0, 0.0]) if second == 60 or second >= 80 else 0.0)
+
+    estimator, estimates, _ = feed(RUN, fixes(RUN, 2, wild), replace(PARAMS, lost_time=10.0))
+    seen = estimator.tally.sensor('gnss/fix')
+    assert 10 <= seen.rejected['innovation gate'] <= 12
+    assert any('rejected for 10 s, taken again' in text for text in estimator.tally.restarts)
+    second = np.array([(e.stamp - RUN.stamps[0]) * 1e-9 for e in estimates])
+    north = errors(RUN, estimates, 0.0)[0][:, 0]
+    assert np.abs(north[(second > 60.0) & (second < 62.0)]).max() < 5.0
+    # Who gives fixes for so long is believed at once, not by and by.
+    assert np.abs(north[second > 100.0] + 300.0).max() < 5.0
+
+
+@pytest.mark.parametrize(
+    ('geodetic', 'covariance', 'reason'),
+    [
+        ((math.nan, 0.0, 0.0), np.eye(3), 'not finite'),
+        ((0.1, 0.2, 1e12), np.eye(3), 'implausible value'),
+        ((0.1, 0.2, 0.0), np.zeros((3, 3)), 'covariance not positive definite'),
+    ],
+)
+def test_what_is_no_fix_is_refused_by_name(geodetic, covariance, reason):
+    estimator = InsGpsEstimator(FilterParams(mode='loose'))
+    assert estimator.on_position(PositionSample(10**9, np.array(geodetic), covariance)) is None
+    assert estimator.on_velocity(VelocitySample(10**9, np.array(geodetic), covariance)) is None
+    assert estimator.tally.sensor('gnss/fix').rejected == {reason: 1}
+    assert estimator.tally.sensor('gnss/velocity').rejected == {reason: 1}
+
+
+def test_a_velocity_before_any_fix_is_refused_and_starts_nothing():
+    estimator = InsGpsEstimator(FilterParams(mode='loose'))
+    estimator.on_velocity(VelocitySample(10**9, np.zeros(3), np.eye(3)))
+    assert not estimator.navigation.running
+    assert 'no position to start from yet' in estimator.tally.sensor('gnss/velocity').rejected

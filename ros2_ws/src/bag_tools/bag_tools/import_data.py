@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -49,8 +50,14 @@ def _setter(message: Any, parent: str, leaf: str | int) -> Callable[[float], Non
         return lambda value: holder.__setitem__(leaf, value)
     kind = type(getattr(holder, leaf))
     if kind in (int, bool):
-        return lambda value: setattr(holder, leaf, kind(value))
+        return lambda value: setattr(holder, leaf, _whole(value, kind, leaf))
     return lambda value: setattr(holder, leaf, value)
+
+
+def _whole(value: float, kind: type, leaf: str) -> int | bool:
+    if not math.isfinite(value):
+        raise BagError(f"'{leaf}' is {value:g}, and its field holds whole numbers only; expected nan: skip")
+    return kind(value)
 
 
 def _grow(message: Any, rule: FieldRule, count: int) -> None:

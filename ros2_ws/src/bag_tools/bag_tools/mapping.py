@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from bag_tools.bag import BagError, zeroed
 from bag_tools.errors import quaternions
+from bag_tools.rosargs import load_yaml
 from bag_tools.series import NANOSECONDS, Array, walk
 from bag_tools.tables import CsvFormat, Table, csv_format
 
@@ -173,6 +174,8 @@ def _topic_rule(body: Any, where: str) -> TopicRule:
         fields=tuple(_field_rule(p, b, f'{where} field {p}') for p, b in fields.items()),
     )
     template = zeroed(rule.type)
+    if rule.frame_id and not hasattr(template, 'header'):
+        raise BagError(f'{where}: {rule.type} has no header for a frame_id')
     for path in [*rule.constants, *(f.path for f in rule.fields)]:
         try:
             walk(template, path)
@@ -184,7 +187,7 @@ def _topic_rule(body: Any, where: str) -> TopicRule:
 def read_mapping(path: Path) -> Mapping:
     """Read and check a mapping file; raise BagError that names the file, the entry and what was expected."""
     try:
-        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+        document = load_yaml(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise BagError(f'{path}: cannot be read ({error.strerror}); expected a mapping file') from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -15,8 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bag_tools import rosargs
-from bag_tools.bag import BagError, BagReader, BagWriter, zeroed
+from bag_tools.bag import BagError, BagReader, BagWriter, resolve, zeroed
 from bag_tools.cdr import decoder
 from bag_tools.cli import Progress, guarded
 from bag_tools.registry import find_ports
@@ -42,9 +44,13 @@ class SensorHealth:
 
 @dataclass(slots=True)
 class OfflineResult:
-    """What a run did: messages in and out by topic, what was counted, wall time (s) without warm-up."""
+    """What a run did: messages in and out by topic, what was counted, wall time (s) without warm-up.
+
+    `absent` are the input topics that the bag does not have.
+    """
 
     inputs: dict[str, int]
+    absent: list[str]
     outputs: dict[str, int]
     tally: Tally
     health: dict[str, SensorHealth]
@@ -67,6 +73,15 @@ def _check_inputs(reader: BagReader, ports: Ports, names: Mapping[str, Input]) -
             f'{reader.path}: has none of the inputs of {ports.name} ({", ".join(names)}); it has: {known}'
         )
     return present
+
+
+def _check_remaps(ports: Ports, remaps: Mapping[str, str]) -> None:
+    topics = [p.topic for p in ports.inputs] + [p.topic for p in ports.outputs.values()]
+    known = {resolve(topic, ports.name) for topic in topics}
+    for source in remaps:
+        if resolve(source, ports.name) not in known:
+            listed = ', '.join(sorted(known))
+            raise BagError(f"remap of '{source}': {ports.name} has no such topic; it has: {listed}")
 
 
 def _note_health(health: dict[str, SensorHealth], tally: Tally, stamp: int) -> None:
@@ -152,6 +167,7 @@ def offline(
     values = params if isinstance(params, ports.params) else build(ports.params, dict(params))
     names = dict(remaps or {})
     with BagReader(bag_in) as reader:
+        _check_remaps(ports, names)
         wanted = {rosargs.remapped(p.topic, names, ports.name): p for p in ports.inputs}
         inputs = _check_inputs(reader, ports, wanted)
         outputs = {rosargs.remapped(o.topic, names, ports.name) for o in ports.outputs.values()}
@@ -173,7 +189,9 @@ def offline(
             counts, health = _run(reader, writer, driver, inputs, sink, copies, progress)
     seconds = time.perf_counter() - started
     written = {name: writer.counts[name] for name in sorted(outputs)}
-    return OfflineResult(counts, written, driver.tally, health, seconds, driver.estimator)
+    return OfflineResult(
+        counts, sorted(set(wanted) - set(inputs)), written, driver.tally, health, seconds, driver.estimator
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -197,7 +215,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _summary(result: OfflineResult, stop: float) -> str:
     lines = [f'{n} in   {topic}' for topic, n in result.inputs.items()]
+    lines += [f'0 in   {topic} (not in the bag)' for topic in result.absent]
     lines += [f'{n} out  {topic}' for topic, n in result.outputs.items()]
+    for name, health in result.health.items():
+        lines.append(f'mean NIS of {name}: {np.nanmean(health.nis):.3g}')
     for name, sensor in result.tally.sensors.items():
         reasons = ', '.join(f'{reason} ({n})' for reason, n in sensor.rejected.most_common())
         if reasons:

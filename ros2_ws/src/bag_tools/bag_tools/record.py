@@ -111,6 +111,10 @@ class StopRule:
         self._last: float | None = None
         self.messages = 0
 
+    def begin(self, now: float) -> None:
+        """Count the duration from `now`: the wait for topics is none of it."""
+        self._begin = now
+
     def received(self, now: float) -> None:
         """Count one message."""
         self.messages += 1

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bag_tools.bag import BagError, BagReader, resolve
+from bag_tools.bag import SUFFIXES, BagError, BagReader, resolve
 from bag_tools.cli import guarded
 from bag_tools.figures import SERIES, Line, Panel, png
 from bag_tools.offline import OfflineResult
@@ -330,7 +330,18 @@ def run_of_bag(
     """Return a run from a recorded bag: its estimate topics against `truth`, NIS from /diagnostics."""
     comparisons = {resolve(t).lstrip('/'): score(Subject(bag, t), truth, window) for t in estimates}
     nis, timing = diagnostics_of(bag)
-    return RunResult(name or Path(bag).stem, comparisons, nis=nis, timing=timing)
+    return RunResult(name or bag_names([bag])[0], comparisons, nis=nis, timing=timing)
+
+
+def bag_names(bags: Sequence[str | Path]) -> list[str]:
+    """Return a name for each bag: its file's, with as many folders before it as tell all of them apart."""
+    paths = [Path(bag).absolute() for bag in bags]
+    parts = [(*p.parts[1:-1], p.stem if p.suffix in SUFFIXES else p.name) for p in paths]
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = ['/'.join(part[-depth:]) for part in parts]
+        if len(set(map(slug, names))) == len(names):
+            return names
+    return [f'{name} ({number})' for number, name in enumerate(names, start=1)]
 
 
 def run(argv: list[str]) -> int:
@@ -347,10 +358,10 @@ def run(argv: list[str]) -> int:
     p.add_argument('--png', metavar='FOLDER', help='also write PNG files there')
     o = p.parse_args(argv)
     runs = []
-    for bag in o.bags:
+    for bag, name in zip(o.bags, bag_names(o.bags)):
         truth_bag = o.truth_bag or bag
         window = read_window(o.after, math.inf, Subject(truth_bag, o.where) if o.where else None)
-        runs.append(run_of_bag(bag, o.estimate, Subject(truth_bag, o.truth), window))
+        runs.append(run_of_bag(bag, o.estimate, Subject(truth_bag, o.truth), window, name))
     print(write_report(o.output, runs, o.title, pngs=o.png))
     return 0
 

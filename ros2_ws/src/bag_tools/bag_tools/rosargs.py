@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,29 @@ import yaml
 
 from bag_tools.bag import BagError, resolve
 from node_core.spin import ros_arguments
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as ROS reads it: 1e-3 is a number, which YAML 1.1 takes for text."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [r for r in resolvers if r[0] != 'tag:yaml.org,2002:float']
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(
+        r'(?:[-+]?(?:\.\d+|\d+\.\d*|\d+(?=[eE]))(?:[eE][-+]?\d+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$'
+    ),
+    list('-+0123456789.'),
+)
+
+
+def load_yaml(text: str) -> Any:
+    """Return the document in `text`; raise yaml.YAMLError."""
+    return yaml.load(text, Loader=_Loader)
+
 
 # rclpy declares these on every node, WorkspaceNode the rest: accepted offline, where they mean nothing.
 _NODE_ONLY = ('use_sim_time', 'lockstep', 'queue_depth', 'start_type_description_service')
@@ -70,7 +94,7 @@ def parse(arguments: list[str]) -> RosArguments:
         if flag in ('-p', '--param'):
             name, text = assignment(value, 'parameter')
             try:
-                result.parameters.append((name.split(':')[-1], yaml.safe_load(text)))
+                result.parameters.append((name.split(':')[-1], load_yaml(text)))
             except yaml.YAMLError:
                 raise BagError(f"parameter '{name}' has the value '{text}'; expected YAML") from None
         elif flag == '--params-file':
@@ -89,7 +113,7 @@ def parse(arguments: list[str]) -> RosArguments:
 def file_parameters(path: Path, node: str) -> dict[str, Any]:
     """Return the parameters that `path` holds for `node` (``/**``, ``/name`` or ``name`` sections)."""
     try:
-        document = yaml.safe_load(path.read_text())
+        document = load_yaml(path.read_text())
     except OSError as error:
         raise BagError(f'{path}: cannot be read ({error.strerror}); expected a ROS parameter file') from error
     except (yaml.YAMLError, UnicodeDecodeError):

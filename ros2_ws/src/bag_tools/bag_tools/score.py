@@ -28,6 +28,7 @@ from bag_tools.errors import (
     rotation_vectors,
 )
 from bag_tools.series import Array, Series, read_series
+from kalman_core.earth import ecef_from_geodetic_series, mat_ecef_from_enu
 
 PERCENTILES = (50.0, 95.0, 99.0)
 # The delay is searched on at most so many samples: the correlation costs samples times shifts.
@@ -38,6 +39,7 @@ _OTHER_VECTORS = (
     'position', 'geodetic', 'linear_velocity', 'angular_velocity', 'linear_acceleration',
     'angular_acceleration', 'magnetic_field',
 )  # fmt: skip
+_NAMED = (*_OTHER_VECTORS, 'orientation')
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,11 +178,14 @@ def evaluate(
     `frame` is that of the orientation covariance and error vector: 'world' (the workspace's convention) or
     'body'. Raises BagError when no sample of the estimate lies where truth is known and the window open.
     """
+    if estimate.role == truth.role == 'geodetic':
+        origin = truth.values[0]
+        estimate, truth = _local(estimate, origin), _local(truth, origin)
     if estimate.kind != truth.kind or estimate.values.shape[1] != truth.values.shape[1]:
         raise BagError(f'{estimate.role} is a {estimate.kind}, the truth {truth.role} a {truth.kind}')
     reference, known = at(truth, estimate.stamps)
-    origin = int(truth.stamps[0])
-    keep = known & (window or Window()).mask(estimate.stamps, origin)
+    first = int(truth.stamps[0])
+    keep = known & (window or Window()).mask(estimate.stamps, first)
     if not keep.any():
         raise BagError(f'{estimate.role}: no sample of the estimate lies where truth is known')
     parts = (
@@ -204,8 +209,16 @@ def evaluate(
         dof=dof,
         delay=_delay(estimate, truth),
     )
-    times = (stamps - origin).astype(np.float64) * 1e-9
+    times = (stamps - first).astype(np.float64) * 1e-9
     return Comparison(score, times, shown[0], shown[1], shown_errors, labels, unit, sigmas, error_labels)
+
+
+def _local(series: Series, origin: Array) -> Series:
+    """Return geodetic positions (°, °, m) as east, north, up (m) from `origin`."""
+    to_rad = np.array([1.0 / _DEGREES, 1.0 / _DEGREES, 1.0])
+    ecef = ecef_from_geodetic_series(np.vstack([origin, series.values]) * to_rad)
+    values = (ecef[1:] - ecef[0]) @ mat_ecef_from_enu(origin[0] / _DEGREES, origin[1] / _DEGREES)
+    return replace(series, values=values, labels=('east', 'north', 'up'), unit='m')
 
 
 def _as_orientation(series: Series) -> Series:
@@ -227,9 +240,10 @@ def _may_be_angles(series: Series) -> bool:
 
 
 def pair(estimates: Sequence[Series], truths: Sequence[Series]) -> list[tuple[Series, Series]]:
-    """Return the quantities that can be compared: equal roles first, else the only ones of equal shape.
+    """Return the quantities that can be compared: equal roles first, else the first of equal shape.
 
-    A three-vector against an orientation is taken for roll, pitch, yaw (rad).
+    A three-vector against an orientation is taken for roll, pitch, yaw (rad). Two that messages name
+    differently, such as a position and a speed, are not compared.
     """
     by_role = {t.role: t for t in truths}
     pairs = [(e, by_role[e.role]) for e in estimates if e.role in by_role]
@@ -241,7 +255,8 @@ def pair(estimates: Sequence[Series], truths: Sequence[Series]) -> list[tuple[Se
                 return [(_as_orientation(e), t)]
             if e.kind == 'orientation' and _may_be_angles(t):
                 return [(e, _as_orientation(t))]
-            if e.kind == t.kind and e.values.shape[1] == t.values.shape[1]:
+            named = e.role in _NAMED and t.role in _NAMED
+            if not named and e.kind == t.kind and e.values.shape[1] == t.values.shape[1]:
                 return [(e, t)]
     return []
 

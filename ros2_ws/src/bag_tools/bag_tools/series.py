@@ -148,7 +148,8 @@ _QUANTITIES: dict[str, tuple[Quantity, ...]] = {
     'sensor_msgs/msg/Temperature': (_number(lambda m: m.temperature, '°C'),),
     'sensor_msgs/msg/NavSatFix': (
         Quantity('geodetic', 'vector', ('latitude', 'longitude', 'altitude'), '',
-                 lambda m: (m.latitude, m.longitude, m.altitude)),
+                 lambda m: (m.latitude, m.longitude, m.altitude),
+                 lambda m: m.position_covariance * (m.position_covariance_type > 0)),
     ),
 }  # fmt: skip
 for _name in ('Float64', 'Float32', 'Int8', 'Int16', 'Int32', 'Int64', 'UInt8', 'UInt16', 'UInt32', 'Bool'):

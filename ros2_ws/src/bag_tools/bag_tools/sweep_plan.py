@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 
 from bag_tools.bag import SUFFIXES, BagError
+from bag_tools.rosargs import load_yaml
 
 _SEEDS = re.compile(r'(\d+):(\d+)')
 
@@ -94,7 +95,7 @@ def parse_grid(texts: Sequence[str]) -> dict[str, list[Any]]:
     for text in texts:
         name, values = _named(text, 'name=value,value,…')
         try:
-            grid[name] = list(yaml.safe_load(f'[{values}]'))
+            grid[name] = list(load_yaml(f'[{values}]'))
         except yaml.YAMLError:
             raise BagError(f"'{text}' is malformed; expected name=value,value,…") from None
     return grid

@@ -26,7 +26,7 @@ class CsvFormat:
     header: bool | list[str] = True
     skip: int = 0
     comment: str = '#'
-    encoding: str = 'utf-8'
+    encoding: str = 'utf-8-sig'  # with or without a byte order mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +66,11 @@ def read_csv(path: Path, style: CsvFormat, wanted: Collection[str]) -> Table:
                 text = line.strip()
                 if number <= style.skip or not text or (style.comment and text.startswith(style.comment)):
                     continue
+                # A tab at the end of a line stands for an empty cell.
                 cells = (
                     text.split()
                     if style.delimiter == 'whitespace'
-                    else next(csv.reader([text], delimiter=style.delimiter))
+                    else next(csv.reader([line.rstrip('\r\n')], delimiter=style.delimiter))
                 )
                 if names is None:
                     names = [c.strip() for c in cells]
@@ -119,7 +120,11 @@ def read_npz(path: Path) -> Table:
 def csv_format(options: Mapping[str, Any], where: str) -> CsvFormat:
     """Return the format from a mapping file's ``csv:`` section."""
     try:
-        return CsvFormat(**options)
+        style = CsvFormat(**options)
     except TypeError:
         known = ', '.join(CsvFormat.__dataclass_fields__)
         raise BagError(f'{where}: csv: {dict(options)} is malformed; expected {known}') from None
+    if style.delimiter != 'whitespace' and len(style.delimiter) != 1:
+        expected = 'one character ("\\t" for a tab, in double quotes) or whitespace'
+        raise BagError(f"{where}: csv: delimiter is '{style.delimiter}', expected {expected}")
+    return style

@@ -144,6 +144,8 @@ def test_several_files_of_a_folder_are_merged_by_time(tmp_path):
         ('    frame_id', '    nan: maybe\n    frame_id', "nan is 'maybe', expected skip | error | keep"),
         ('topics:', 'topics: []\nx:', 'unknown key'),
         ('csv: {comment', 'csv: {coment', 'is malformed; expected delimiter'),
+        ('csv: {comment', "csv: {delimiter: '\\t', comment", 'expected one character'),
+        ('sensor_msgs/msg/Imu', 'geometry_msgs/msg/Twist', 'has no header for a frame_id'),
     ],
 )
 def test_bad_mappings_are_one_clear_line(files, capsys, old, new, words):
@@ -174,6 +176,22 @@ def test_bad_tables_are_one_clear_line(files, capsys, text, words):
     err = capsys.readouterr().err
     assert words in err
     assert 'imu.csv' in err
+
+
+@pytest.mark.parametrize('mark', ['', '\ufeff'])
+def test_a_table_of_a_spreadsheet_may_have_a_byte_order_mark_and_empty_cells(tmp_path, mark):
+    (tmp_path / 'm.yaml').write_text(
+        'csv: {delimiter: "\\t"}\n'
+        'topics:\n'
+        '  - topic: a\n'
+        '    type: std_msgs/msg/Float64\n'
+        '    stamp: {column: t, unit: s}\n'
+        '    fields: {data: {column: x}}\n'
+    )
+    (tmp_path / 'a.csv').write_text(f'{mark}t\tx\n1e0\t10\n2\t\n3\t30\n', encoding='utf-8')
+    import_data(str(tmp_path / 'm.yaml'), tmp_path / 'a.csv', tmp_path / 'bag')
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [s // 10**9 for _, s, _ in reader.messages()] == [1, 3]
 
 
 def test_a_broken_npz_is_refused(tmp_path, capsys):

@@ -205,3 +205,13 @@ def test_remaps_apply_to_relative_private_and_absolute_names():
 def test_parameters_are_checked_in_code_too(tmp_path):
     with pytest.raises(ParameterError, match='allowed: 0 … 1'):
         offline(MIX, {'leak': 2.0}, tmp_path / 'in', tmp_path / 'out')
+
+
+@pytest.mark.parametrize(
+    ('text', 'value'),
+    [('1e-3', 1e-3), ('1E5', 1e5), ('1.7e9', 1.7e9), ('.5', 0.5), ('-2.', -2.0), ('.inf', float('inf')),
+     ('3', 3), ('true', True), ('1e', '1e'), ('[1e-3, 2]', [1e-3, 2]), ('text', 'text')],
+)  # fmt: skip
+def test_parameters_are_read_as_a_node_reads_them(text, value):
+    read = parse(['-p', f'a:={text}']).parameters[0][1]
+    assert (type(read), read) == (type(value), value)

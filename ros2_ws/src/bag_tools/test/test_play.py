@@ -151,3 +151,10 @@ def test_one_message_can_be_played(tmp_path):
         bag.write('/note', SECOND, zeroed('std_msgs/msg/String'))
     with BagReader(tmp_path / 'one') as opened:
         assert [(t, s) for t, s, _ in playlist(opened)] == [('/note', SECOND)]
+
+
+def test_the_wait_for_topics_is_none_of_the_duration():
+    rule = record.StopRule(record.RecordOptions('bag', duration=5.0), 0.0)
+    rule.begin(8.0)
+    assert not rule.done(12.9)
+    assert rule.done(13.0)

@@ -18,7 +18,7 @@ from bag_tools.bag import BagError, BagWriter, zeroed
 from bag_tools.errors import quaternions
 from bag_tools.figures import DARK, LIGHT, broken, spread, thin
 from bag_tools.offline import offline
-from bag_tools.report import NisTrace, RunResult, diagnostics_of, nis_of, write_report
+from bag_tools.report import NisTrace, RunResult, bag_names, diagnostics_of, nis_of, write_report
 from bag_tools.score import evaluate
 from bag_tools.series import Series
 
@@ -244,3 +244,18 @@ def test_chromium_shows_the_page_without_overflow(page, tmp_path):
     shown = re.search(r'<title>(\d+)/(\d+)</title>', dom)
     assert shown, dom[:500]
     assert int(shown[1]) <= int(shown[2])
+
+
+@pytest.mark.parametrize(
+    ('bags', 'names'),
+    [
+        (['a/estimates.mcap', 'b/estimates.mcap'], ['a/estimates', 'b/estimates']),
+        (['out/noise_0.5', 'out/noise_0.7'], ['noise_0.5', 'noise_0.7']),
+        (['one.mcap'], ['one']),
+        (['one.mcap', 'one.mcap'], None),
+    ],
+)
+def test_each_bag_of_a_report_has_a_name_of_its_own(bags, names):
+    found = bag_names(bags)
+    assert len(set(found)) == len(bags)
+    assert names is None or found == names

@@ -285,3 +285,34 @@ def test_unset_and_non_finite_values_are_left_out(tmp_path):
     assert series['orientation'].stamps.tolist() == [SECOND + 1, SECOND + 2]
     assert series['angular_velocity'].values[:, 0].tolist() == [1.0, 2.0]
     assert series['orientation'].covariance is None
+
+
+def _geodetic(rows, covariance=None):
+    rows = np.array(rows, dtype=float)
+    stamps = 10**9 * np.arange(1, len(rows) + 1)
+    return Series('geodetic', 'vector', stamps, rows, ('latitude', 'longitude', 'altitude'), '', covariance)
+
+
+@pytest.mark.parametrize(
+    ('latitude', 'longitude'), [(0.0, 0.0), (60.0, 25.0), (60.0, 180.0), (-33.0, -180.0)]
+)
+def test_geodetic_positions_are_scored_in_metres_wherever_they_lie(latitude, longitude):
+    from kalman_core.earth import ecef_from_enu, geodetic_from_ecef
+
+    truth = [(latitude, longitude, 10.0)] * 5
+    origin = np.radians(latitude), np.radians(longitude), 10.0
+    lat, lon, height = geodetic_from_ecef(ecef_from_enu(np.array([1.0, -2.0, 3.0]), *origin))
+    rows = [(np.degrees(lat), np.degrees(lon), height)] * 5
+    scored = evaluate(_geodetic(rows, np.tile(np.eye(3), (5, 1, 1))), _geodetic(truth)).score
+    assert [c.unit for c in scored.components] == ['m'] * 4
+    assert [c.mean for c in scored.components[:3]] == pytest.approx([1.0, -2.0, 3.0], abs=1e-6)
+    assert scored.nees == pytest.approx(14.0)
+
+
+def test_quantities_that_messages_name_differently_are_not_compared():
+    def series(role):
+        return Series(role, 'vector', np.array([1, 2]), np.zeros((2, 3)), ('x', 'y', 'z'))
+
+    assert pair([series('position')], [series('geodetic')]) == []
+    assert pair([series('angular_velocity')], [series('position')]) == []
+    assert len(pair([series('angular_velocity')], [series('vector')])) == 1

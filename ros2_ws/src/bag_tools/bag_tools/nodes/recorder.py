@@ -136,6 +136,7 @@ def record(node: Recorder, options: RecordOptions, stop: list) -> None:
 def _record(node: Recorder, executor: DirectExecutor, options: RecordOptions, stop: list) -> None:
     _wait_for_topics(node, executor, options, stop)
     node.join()
+    node.rule.begin(time.monotonic())
     node.get_logger().info('recording' if not options.topics else f'recording {" ".join(options.topics)}')
     looked = time.monotonic()
     while not stop and not node.rule.done(time.monotonic()):

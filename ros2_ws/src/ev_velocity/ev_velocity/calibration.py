@@ -10,12 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from ev_velocity.params import VelocityParams
-from ev_velocity.velocity import VelocityEstimator
+from ev_velocity.velocity import CALIBRATED, VelocityEstimator
 from kalman_core.parameters import ParameterError, build
 
 # Between drives pressure and load change the rolling radius by about this much.
 AGEING_SIGMA = 0.001
-NAMES = ('scale', 'scale_sigma', 'slip', 'slip_sigma')
 
 
 def load(params: VelocityParams) -> VelocityParams:
@@ -28,11 +27,13 @@ def load(params: VelocityParams) -> VelocityParams:
     path = Path(params.calibration_file).expanduser()
     try:
         values = json.loads(path.read_text(encoding='utf-8'))
-        chosen = {name: values[name] for name in NAMES}
+        chosen = {name: values[name] for name in CALIBRATED}
     except FileNotFoundError:
         return params
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ParameterError(f"calibration_file '{path}': {error!r}, expected JSON with {NAMES}") from None
+        raise ParameterError(
+            f"calibration_file '{path}': {error!r}, expected JSON with {CALIBRATED}"
+        ) from None
     try:
         build(VelocityParams, chosen)
     except ParameterError as error:
@@ -44,13 +45,18 @@ def load(params: VelocityParams) -> VelocityParams:
 def save(estimator: VelocityEstimator) -> bool:
     """Write what was learned to the estimator's calibration file; False when there is nothing to write.
 
-    Only what is known better than at the start is written: a short drive does not spoil a good file.
+    Only what is known better than at the start is written: a short drive does not spoil a good file. Raises
+    ParameterError for what `load` would refuse, as of a wheel far from `wheel_radius`.
     """
     params = estimator.params
     learned = estimator.learned()
     if not params.calibration_file or learned['scale_sigma'] >= params.scale_sigma:
         return False
     path = Path(params.calibration_file).expanduser()
+    try:
+        build(VelocityParams, learned)
+    except ParameterError as error:
+        raise ParameterError(f"calibration_file '{path}': learned {error}") from None
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name)
     try:

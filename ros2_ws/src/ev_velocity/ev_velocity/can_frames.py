@@ -21,6 +21,8 @@ NANOSECONDS = 1_000_000_000
 TOGETHER = 0.1
 # A frame is missing when it is later than so many of its periods.
 LATE = 3.0
+# So many frames in a row with stamps that go back: the clock was set back, they are not out of order.
+SET_BACK = 10
 
 
 class CanError(Exception):
@@ -107,6 +109,7 @@ class CanDecoder:
             self._needed[signal.frame].add(signal.name)
         self.health = {name: FrameHealth() for name in self._periods}
         self.bus_errors = 0
+        self._back = 0
         self._limits = {
             (m.name, s.name): (s.minimum, s.maximum) for m in self._messages.values() for s in m.signals
         }
@@ -149,7 +152,13 @@ class CanDecoder:
         if len(data) != message.length:
             return f'DLC {len(data)}, expected {message.length}', {}
         if health.last is not None and stamp < health.last:
-            return 'stamp goes back', {}
+            self._back += 1
+            if self._back < SET_BACK:
+                return 'stamp goes back', {}
+            for other in self.health.values():
+                other.last = None
+            self._values.clear()
+        self._back = 0
         try:
             decoded = message.decode(data, decode_choices=False)
         except Exception as error:  # cantools and bitstruct raise several unrelated classes
@@ -214,11 +223,15 @@ class CanDecoder:
         return _share(None if value is None else value / self._brake_full)
 
     def stale(self, now: int, limit: float) -> list[str]:
-        """Return the frames that were not seen for `limit` (s), or for three periods of a slower one."""
+        """Return the frames that were not seen for `limit` (s), or for three periods of a slower one.
+
+        One that was last seen after `now` is among them: the clock was set back and it has not come since.
+        """
         return [
             name
             for name, health in self.health.items()
             if health.last is None
+            or now < health.last
             or (now - health.last) / NANOSECONDS > max(limit, LATE * self._periods[name])
         ]
 

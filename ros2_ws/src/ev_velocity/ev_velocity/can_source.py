@@ -11,6 +11,8 @@ from ev_velocity.can_frames import CanError, replay
 from node_core.byte_sources import SourceError
 
 _TIMEOUT = 0.2  # s, how long a silent bus keeps the thread
+# CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame: socketcan's only word of it.
+_BUS_OFF = 0x40
 
 
 class Frame(NamedTuple):
@@ -61,7 +63,10 @@ class BusFrames:
         """Return a frame, () if none has come."""
         try:
             message = self._bus.recv(_TIMEOUT)
-            off = message is None and self._bus.state is can.BusState.ERROR
+            if message is None:
+                off = self._bus.state is can.BusState.ERROR
+            else:
+                off = message.is_error_frame and bool(message.arbitration_id & _BUS_OFF)
         except (can.CanError, OSError) as error:
             raise SourceError(f'{self._name} lost: {error}') from None
         if off:

@@ -52,11 +52,13 @@ UNKNOWN = 1e6
 
 
 def decode_force(message: Any) -> ForceSample:
-    """Take x of a sensor_msgs/Imu's specific force; raise BadMessage when it is not finite."""
+    """Take x of a sensor_msgs/Imu's specific force; raise BadMessage if it is not finite or unknown."""
     stamp = message.header.stamp
     stamp_ns = stamp.sec * NANOSECONDS + stamp.nanosec
     if stamp_ns <= 0:
         raise BadMessage('zero stamp')
+    if message.linear_acceleration_covariance[0] == -1.0:  # as sensor_msgs has it
+        raise BadMessage('no specific force')
     force = message.linear_acceleration.x
     if not math.isfinite(force):
         raise BadMessage('specific force not finite')

@@ -31,6 +31,7 @@ from ev_velocity.velocity import (
     NAMES,
     OBD_SPEED,
     PEDALS,
+    START_SPEED_SIGMA,
     WHEEL_RATES,
     WHEEL_SPEED,
     origin_of,
@@ -88,6 +89,7 @@ class _Model:
         m[kernels.ACCEL_P] = START_ACCEL_VARIANCE
         m[kernels.PHASE] = Phase.COASTING
         m[kernels.STEP] = START_STEP
+        m[kernels.VARIANCE] = START_SPEED_SIGMA**2
         m[kernels.ANGLE_TIME] = -1.0
         self.origin = None
 
@@ -112,13 +114,20 @@ class _Model:
 
     def _angle(self, sample: AngleSample, t: float) -> None:
         m = self.state
-        turned = sample.angle - m[kernels.ANGLE]
-        elapsed = (t - m[kernels.ANGLE_TIME]) * 1e-9
         first = m[kernels.ANGLE_TIME] < 0.0
+        angle = 0.0 if first else sample.angle - m[kernels.ANGLE]
+        elapsed = (t - m[kernels.ANGLE_TIME]) * 1e-9
+        # Some encoders count down in reverse; where one turns round, or began anew, it says no speed.
+        turned = angle * m[kernels.ANGLE_SENSE] < 0.0
+        plausible = abs(angle) * self.params.wheel_radius < SPEED_LIMIT * elapsed
         m[kernels.ANGLE] = sample.angle
         m[kernels.ANGLE_TIME] = t
-        if not first and turned >= 0.0 and elapsed > 0.0:
-            self._wheel(turned / elapsed * self.params.wheel_radius, t)
+        if first or not plausible:
+            return
+        if angle:
+            m[kernels.ANGLE_SENSE] = math.copysign(1.0, angle)
+        if not turned:
+            self._wheel(abs(angle) / elapsed * self.params.wheel_radius, t)
 
     def _wheel_speed(self, sample: WheelSpeedSample, t: float) -> None:
         self._wheel(sample.speed, t)
@@ -134,14 +143,16 @@ class _Model:
         self.state[kernels.BRAKE] = sample.brake
 
     def _gear(self, sample: GearSample, t: float) -> None:
-        self.state[kernels.DIRECTION] = sample.direction
+        if sample.direction:
+            self.state[kernels.DIRECTION] = sample.direction
 
 
 class FusionEstimator:
     """Speed by the paper's fusion; handlers return None, one estimate or a list.
 
     `variant`: 'published' counts a slow sample N times and keeps the last phase where no printed rule
-    applies; 'corrected' gives a slow sample the noise N·R and every input a phase.
+    applies; 'corrected' gives a slow sample the noise N·R, every input a phase, and a variance that bounds
+    the error's however the errors hang together.
     """
 
     def __init__(self, params: FusionParams | None = None) -> None:

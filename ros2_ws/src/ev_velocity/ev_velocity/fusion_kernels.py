@@ -5,6 +5,10 @@ A modified multirate Kalman filter (M-MKF) raises one slow speed to the fast rat
 corrects at every fast step with the residual predicted from the last sample z, which is carried forward
 with the estimated acceleration: ε = z + τ·a − v, τ after the sample. One sample is thus used N times, and
 its noise must count N-fold: N corrections with N·R are then one with R. As printed the noise is R.
+
+Eq. (9) takes what the filters say at each fast step for new, though one slow sample is in hundreds of them:
+as printed the variance is hundreds of times too small. `corrected` gives the bound that holds however the
+errors hang together, the square of the weighted sum of the σ.
 """
 
 from __future__ import annotations
@@ -20,8 +24,8 @@ M_SPEED, M_ACCEL, M_P00, M_P01, M_P11, M_SAMPLE, M_LEFT, M_TOTAL, M_TIME, M_USED
 M_SIZE = 10
 # Layout of the whole memory.
 TIME, SPEED, ACCEL, ACCEL_P, PHASE, ACCELERATOR, BRAKE, DIRECTION = range(8)
-RUNNING, VARIANCE, ANGLE, ANGLE_TIME, STEP = range(8, 13)
-WHEEL = 13
+RUNNING, VARIANCE, ANGLE, ANGLE_TIME, ANGLE_SENSE, STEP = range(8, 14)
+WHEEL = 14
 GPS = WHEEL + M_SIZE
 SIZE = GPS + M_SIZE
 
@@ -136,8 +140,12 @@ def fuse_step(m, constants, force, t):
     k1, k2, k3 = weights(s1, s2, s3)
     integrated = m[SPEED] + dt * m[ACCEL]
     m[SPEED] = k1 * m[WHEEL + M_SPEED] + k2 * m[GPS + M_SPEED] + k3 * integrated
-    # Eq. (9), with the fused speed's own variance in the integrated one.
-    m[VARIANCE] = (k1 * s1) ** 2 + (k2 * s2) ** 2 + k3 * k3 * (m[VARIANCE] + dt * dt * constants[ACCEL_R])
+    if corrected:
+        own = math.sqrt(m[VARIANCE]) + dt * math.sqrt(constants[ACCEL_R])
+        m[VARIANCE] = (k1 * s1 + k2 * s2 + k3 * own) ** 2
+    else:
+        # Eq. (9), with the fused speed's own variance in the integrated one.
+        m[VARIANCE] = (k1 * s1) ** 2 + (k2 * s2) ** 2 + k3 * k3 * (m[VARIANCE] + dt * dt * constants[ACCEL_R])
     return m[SPEED], m[VARIANCE]
 
 

@@ -42,22 +42,21 @@ class GpsStream:
     def __init__(self, nmea_sigma: float) -> None:
         self._nmea_sigma = nmea_sigma
         self._ubx_seen = False
-        self._began = 0
         self.accepted = 0
         self.rejected: Counter[str] = Counter()
         self._messages = MessageCutter(self.rejected, UBX, NMEA)
 
     def feed(self, data: bytes, arrival: int = 0) -> Iterator[GpsSpeed]:
         """Take bytes that came at `arrival` (ns), in pieces of any size; yield the speeds they complete."""
-        # What is left over of the bytes before began with them, what follows a message came just now.
-        began = self._began if self._messages.pending else arrival
-        for message in self._messages.feed(data):
+        for message in self._messages.feed(data, arrival):
             speed = self._decode(message)
             if speed is not None:
                 self.accepted += 1
-                yield speed._replace(arrival=began)
-            began = arrival
-        self._began = began
+                yield speed._replace(arrival=self._messages.arrival)
+
+    def clear(self) -> None:
+        """Forget the bytes of a message that is not complete."""
+        self._messages.clear()
 
     def _decode(self, message: bytes) -> GpsSpeed | None:
         try:

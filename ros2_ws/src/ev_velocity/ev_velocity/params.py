@@ -57,7 +57,7 @@ class VelocityParams:
     wheel_speed_correlation: float = parameter(
         0.1, 'time over which that noise is one and the same', unit='s', minimum=0.0, live=True
     )
-    wheel_delay: float = parameter(0.0, 'delay of the wheel signal', unit='s', minimum=0.0, maximum=1.0)
+    wheel_delay: float = parameter(0.0, 'delay of the encoder', unit='s', minimum=0.0, maximum=1.0)
     wheel_delay_sigma: float = parameter(0.0, 'its uncertainty', unit='s', minimum=0.0, maximum=1.0)
     speed_delay: float = parameter(
         0.1, 'delay of a wheel or vehicle speed signal', unit='s', minimum=0.0, maximum=1.0

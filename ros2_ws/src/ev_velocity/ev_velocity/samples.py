@@ -54,7 +54,7 @@ class PedalSample(NamedTuple):
 
 
 class GearSample(NamedTuple):
-    """Sense of travel that the gear selects: 1 forward, −1 reverse, 0 unknown or neutral."""
+    """Sense of travel that the gear selects: 1 forward, −1 reverse, 0 neutral or unknown: the last stays."""
 
     stamp: int
     direction: int
@@ -111,11 +111,13 @@ class ConstantsEstimate(NamedTuple):
     sigmas: tuple[float, ...]
 
 
-CONSTANT_NAMES = ('bias', 'pitch_gain', 'wheel_scale', 'wheel_slip', 'gps_delay', 'wheel_delay')
+CONSTANT_NAMES = (
+    'bias', 'pitch_gain', 'wheel_scale', 'wheel_slip', 'gps_delay', 'wheel_delay', 'speed_delay',
+)  # fmt: skip
 
 
 class FusionEstimate(NamedTuple):
-    """Speed, m/s, and variance by eq. (9) of the paper's fusion."""
+    """Speed, m/s, by the paper's fusion, and its variance: as printed if published, else a bound."""
 
     stamp: int
     speed: float

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from statistics import median
 from typing import Any
@@ -37,8 +38,8 @@ from ev_velocity.velocity_kernels import (
     ROAD_DUE,
     direction_of,
     force_step,
+    gear_step,
     let_out,
-    predict,
     report,
 )
 from ev_velocity.velocity_updates import count_step, gps_step, speed_step
@@ -64,9 +65,11 @@ NAMES = (
     'imu/data_raw', 'gps/speed', 'wheel/encoder', 'vehicle/speed', 'vehicle/pedals', 'vehicle/gear',
     'wheel/states', 'obd/speed',
 )  # fmt: skip
+# Parameters that a calibration file holds.
+CALIBRATED = ('scale', 'scale_sigma', 'slip', 'slip_sigma')
 REFUSAL = 'gate'
 REFUSAL_OF_WHEEL = 'gate (slip)'
-_LEARNED = (mem.B, mem.K, mem.S, mem.C, mem.TG, mem.TW)
+_LEARNED = (mem.B, mem.K, mem.S, mem.C, mem.TG, mem.TW, mem.TS)
 
 
 def origin_of(stamp: int) -> int:
@@ -100,7 +103,6 @@ def kernel_constants(params: VelocityParams) -> np.ndarray:
         mem.JERK: params.jerk,
         mem.GPS_DELAY_VARIANCE: params.gps_delay_sigma**2,
         mem.ACCELERATION_PERIOD: SECOND / params.acceleration_rate,
-        mem.SPEED_DELAY: params.speed_delay,
         mem.SPEED_DELAY_VARIANCE: params.speed_delay_sigma**2,
     }
     for index, value in values.items():
@@ -119,6 +121,7 @@ def start_memory(params: VelocityParams) -> np.ndarray:
     x[mem.C], sigma[mem.C] = params.slip, params.slip_sigma
     x[mem.TG], sigma[mem.TG] = params.gps_delay, params.gps_delay_sigma
     x[mem.TW], sigma[mem.TW] = params.wheel_delay, params.wheel_delay_sigma
+    x[mem.TS], sigma[mem.TS] = params.speed_delay, params.speed_delay_sigma
     return mem.fresh(x, sigma**2)
 
 
@@ -210,9 +213,7 @@ class _Model:
         self._tally.accept(NAMES[PEDALS], sample.stamp)
 
     def _gear(self, sample: GearSample, t: float) -> None:
-        # The distance rolled before the change belongs to the sense before it.
-        predict(self.state, self._constants, t)
-        self.state[mem.DIRECTION] = sample.direction
+        gear_step(self.state, self._constants, float(sample.direction), t)
         self._tally.accept(NAMES[GEAR], sample.stamp)
 
     def _slip(self, stamp: int, done: int) -> SlipEstimate:
@@ -240,7 +241,8 @@ class _Model:
         if done == mem.REOPENED and not tally.muted:
             what = 'speed anchored anew' if port == GPS else 'scale learned anew'
             tally.restart(f'{name} refused for too long: {what}')
-        tally.accept(name, stamp, float(self.state[mem.NIS]), self.params.gate)
+        nis = float(self.state[mem.NIS])
+        tally.accept(name, stamp, nis if nis >= 0.0 else None, self.params.gate)
 
 
 class VelocityEstimator:
@@ -268,7 +270,12 @@ class VelocityEstimator:
         return self._model.params
 
     def set_params(self, params: VelocityParams) -> None:
-        """Take new live parameters without a restart; start values have their effect at the next reset."""
+        """Take new live parameters without a restart; start values have their effect at the next reset.
+
+        What a calibration file keeps stays as it was at the start: the node's own parameters lack it.
+        """
+        if params.calibration_file:
+            params = replace(params, **{name: getattr(self.params, name) for name in CALIBRATED})
         self._model.configure(params)
 
     def reset(self) -> None:

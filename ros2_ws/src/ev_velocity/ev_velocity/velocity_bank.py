@@ -25,6 +25,7 @@ from ev_velocity.velocity_memory import (
     MODELS,
     PRIOR,
     TG,
+    TS,
     TW,
     WEIGHTS,
     B,
@@ -156,6 +157,7 @@ def _update(x, cov, h, residual, ph, s, keep_scale):
     x[C] = min(max(x[C], -SLIP_LIMIT), SLIP_LIMIT)
     x[TG] = min(max(x[TG], -DELAY_EARLY), DELAY_MAX)
     x[TW] = min(max(x[TW], -DELAY_EARLY), DELAY_MAX)
+    x[TS] = min(max(x[TS], -DELAY_EARLY), DELAY_MAX)
 
 
 @njit(cache=True, nogil=True)

@@ -13,9 +13,8 @@ from ev_velocity import velocity_memory as mem
 from ev_velocity.params import VelocityParams
 from ev_velocity.scenarios import PULSES, Drive
 from ev_velocity.velocity import EPOCH, GPS_SIGMA_FLOOR, kernel_constants, start_memory
-from ev_velocity.velocity_kernels import force_step, predict
+from ev_velocity.velocity_kernels import force_step, gear_step
 from ev_velocity.velocity_memory import (
-    DIRECTION,
     MODELS,
     OUT_ACCELERATION,
     OUT_SPEED,
@@ -67,8 +66,7 @@ def _run(m, constants, kinds, times, values, variances, out, states, done):
         elif kind == COUNT:
             done[i] = count_step(m, constants, values[i], times[i], h)
         elif kind == GEAR:
-            predict(m, constants, times[i])
-            m[DIRECTION] = values[i]
+            gear_step(m, constants, values[i], times[i])
         else:
             done[i] = speed_step(m, constants, values[i], variances[i], times[i], h)
 

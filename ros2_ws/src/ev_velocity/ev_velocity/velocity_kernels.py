@@ -19,6 +19,7 @@ from ev_velocity.velocity_memory import (
     BLEED_STEP,
     BLEED_TIME,
     BLOCK_TIME,
+    COUNT_SENSE,
     DIRECTION,
     FORCE,
     FORCE_TIME,
@@ -33,6 +34,7 @@ from ev_velocity.velocity_memory import (
     OUT_ACCELERATION_VARIANCE,
     OUT_SPEED,
     OUT_SPEED_VARIANCE,
+    OUT_TIME,
     PUSH,
     Q_BIAS,
     Q_COAST,
@@ -48,6 +50,7 @@ from ev_velocity.velocity_memory import (
     SLOTS,
     TG,
     TIME,
+    TS,
     TW,
     B,
     C,
@@ -79,7 +82,7 @@ STEP = 0.002
 
 @njit(cache=True, nogil=True)
 def direction_of(m):
-    """Return the sense (±1) of unsigned sensors: the gear's, forward while that is unknown.
+    """Return the sense (±1) of unsigned sensors: that of the last gear that had one, forward before.
 
     The estimate's own sign would not do: a moment's negative speed would turn every sensor against it.
     """
@@ -127,6 +130,16 @@ def predict(m, constants, t):
 
 
 @njit(cache=True, nogil=True)
+def gear_step(m, constants, direction, t):
+    """Take the sense of travel (1, −1, or 0 for no news) that the gear selects at `t` (ns)."""
+    # The distance rolled before the change belongs to the sense before it.
+    predict(m, constants, t)
+    if direction != 0.0 and direction != m[DIRECTION]:
+        m[DIRECTION] = direction
+        m[COUNT_SENSE] = 0.0
+
+
+@njit(cache=True, nogil=True)
 def _propagate(m, constants):
     """Bring every filter of the bank to m[TIME]: v' = (f − b)/(1 + k), grade as a walk with distance."""
     dt = (m[TIME] - m[BLOCK_TIME]) * NS
@@ -167,6 +180,7 @@ def _propagate(m, constants):
         cov[S, S] += constants[Q_SCALE] * speed * dt
         cov[TG, TG] += constants[Q_DELAY] * dt
         cov[TW, TW] += constants[Q_DELAY] * dt
+        cov[TS, TS] += constants[Q_DELAY] * dt
         cov[W, W] += constants[Q_WHEEL] * speed * dt
     m[PUSH] = 0.0
     m[HELD] = 0.0
@@ -228,11 +242,13 @@ def delayed_row(m, x, delay_index, h):
 @njit(cache=True, nogil=True)
 def force_step(m, constants, force, t):
     """Take the mean specific force (m/s²) of the interval that ends at `t` (ns); see `report`."""
-    before = m[TIME]
+    if m[FORCE_TIME] < 0.0 or (t - m[FORCE_TIME]) * NS > constants[MAX_GAP]:
+        # One reading says nothing of the silence before it.
+        advance(m, constants, t)
     m[FORCE] = force
     m[FORCE_TIME] = t
     advance(m, constants, t)
-    let_out(m, constants, (t - before) * NS if before >= 0.0 else 0.0)
+    let_out(m, constants, (t - m[OUT_TIME]) * NS if m[OUT_TIME] >= 0.0 else 0.0)
     return report(m, constants, t)
 
 
@@ -253,8 +269,9 @@ def report(m, constants, t):
 
 @njit(cache=True, nogil=True)
 def let_out(m, constants, dt):
-    """Let corrections out for `dt` (s) and fill the outputs of the memory."""
+    """Let corrections out for `dt` (s), the time since the last output, and fill those of the memory."""
     dt = max(dt, 0.0)
+    m[OUT_TIME] = m[TIME]
     bleed = m[BLEED]
     if abs(bleed) > SNAP:
         bleed = 0.0

@@ -12,10 +12,20 @@ import math
 
 from numba import njit
 
-from ev_velocity.velocity_bank import clone, combine, correct, covariance_of, forget, place, state_of
+from ev_velocity.velocity_bank import (
+    SPEED_LIMIT,
+    clone,
+    combine,
+    correct,
+    covariance_of,
+    forget,
+    place,
+    state_of,
+)
 from ev_velocity.velocity_kernels import NS, delayed_row, direction_of, force_at, predict
 from ev_velocity.velocity_memory import (
     COUNT,
+    COUNT_SENSE,
     COUNT_TIME,
     GAIN,
     GATE,
@@ -37,16 +47,18 @@ from ev_velocity.velocity_memory import (
     REOPENED,
     SKIPPED,
     SLIP,
-    SPEED_DELAY,
     SPEED_DELAY_VARIANCE,
     SPEED_TIME,
     STARTED,
     STILL_SPEED,
     STILL_TIME,
     STILL_VARIANCE,
+    TEETH,
     TG,
     TIME,
     TOOTH,
+    TS,
+    TURNED_SINCE,
     TW,
     USED,
     WEIGHTS,
@@ -89,6 +101,7 @@ BLIND_SPEED = 1.5
 # Below this speed (m/s) a slip ratio means nothing.
 SLIP_SPEED = 0.3
 NO_GATE = math.inf
+NOT_COMPARED = -1.0
 
 
 @njit(cache=True, nogil=True)
@@ -203,6 +216,7 @@ def gps_step(m, constants, speed, variance, t, rows):
 
     `rows` (MODELS, N + 1) is scratch. Returns what was done.
     """
+    m[NIS] = NOT_COMPARED
     predict(m, constants, t)
     signed = direction_of(m) * speed
     predicted = 0.0
@@ -293,21 +307,35 @@ def count_step(m, constants, count, t, rows):
 
     Waiting keeps the first count of a slip out, which is still within the gate. A count is refused when it
     is further from the prediction than half a tooth and the prediction's own uncertainty allow; the wheel's
-    distance is then anchored anew. Returns what was done.
+    distance is then anchored anew. Up or down, counts are distance in the sense of the gear: some go down in
+    reverse. Those that turn within a gear (the car rolls back, the counter began anew) are anchored, unless
+    they go on so. Returns what was done.
     """
+    m[NIS] = NOT_COMPARED
     predict(m, constants, t)
-    z = count * constants[TOOTH]
-    steps = count - m[COUNT]
     dt = (t - m[COUNT_TIME]) * NS
     first = m[COUNT_TIME] < 0.0
+    change = 0.0 if first else count - m[COUNT]
+    steps = abs(change)
+    turned = change * m[COUNT_SENSE] < 0.0
+    if not turned and steps > 0.0:
+        m[TURNED_SINCE] = -1.0
+    anew = m[COUNT_SENSE] == 0.0 or (
+        turned and _refused_too_long(m, TURNED_SINCE, constants[LOCKOUT] * ALONE)
+    )
+    if anew and 0.0 < steps * constants[TOOTH] < SPEED_LIMIT * dt:
+        m[COUNT_SENSE] = math.copysign(1.0, change)
+        m[TURNED_SINCE] = -1.0
     m[COUNT] = count
     m[COUNT_TIME] = t
     m[WHEEL_TIME] = t
-    if first or steps < 0.0 or dt <= 0.0:
-        _anchor(m, constants, z)
+    if first or turned or dt <= 0.0:
+        _anchor(m, constants, m[TEETH] * constants[TOOTH])
         m[MOVED_TIME] = t
         m[SLIP] = 0.0
         return STARTED
+    m[TEETH] += steps
+    z = m[TEETH] * constants[TOOTH]
     if steps != 0.0:
         m[MOVED_TIME] = t
     elif t - m[MOVED_TIME] > constants[STILL_TIME] and abs(m[X + V]) < constants[STILL_SPEED]:
@@ -346,13 +374,11 @@ def speed_step(m, constants, speed, variance, t, rows):
     counts for less per sample. A zero is standstill or nothing: below some speed they all read 0.
     Returns what was done.
     """
+    m[NIS] = NOT_COMPARED
     predict(m, constants, t)
     dt = t - m[SPEED_TIME]
     x = m[X : X + N]
     if m[SPEED_TIME] < 0.0:
-        place(m, TW, constants[SPEED_DELAY])
-        forget(m, TW, constants[SPEED_DELAY_VARIANCE])
-        combine(m)
         m[MOVED_TIME] = t
     elif dt <= 0.0:
         return SKIPPED
@@ -372,8 +398,8 @@ def speed_step(m, constants, speed, variance, t, rows):
     for j in range(MODELS):
         state = state_of(m, j)
         h = rows[j, :N]
-        then = delayed_row(m, state, TW, h)
-        a = -h[TW]
+        then = delayed_row(m, state, TS, h)
+        a = -h[TS]
         ratio = 1.0 + state[S] + state[C] * a * sign
         h *= ratio
         h[S] = then
@@ -381,14 +407,14 @@ def speed_step(m, constants, speed, variance, t, rows):
         rows[j, N] = sign * speed - ratio * then
         residual += m[WEIGHTS + j] * rows[j, N]
         predicted += m[WEIGHTS + j] * then
-    r = variance * max(1.0, constants[WHEEL_CORRELATION] / dt) + _bend(m, TW)
+    r = variance * max(1.0, constants[WHEEL_CORRELATION] / dt) + _bend(m, TS)
     doubt = _doubt(m, WHEEL_REFUSED_SINCE, residual)
     m[NIS] = _correct_by_wheel(m, constants, rows, r, constants[GATE], doubt)
     _follow_wheel(m, residual, dt * NS)
     m[SLIP] = slip_ratio(m[WHEEL_SPEED], predicted)
     done = _judge_wheel(m, constants, m[NIS] <= constants[GATE])
     if done == REOPENED:
-        forget(m, TW, constants[SPEED_DELAY_VARIANCE])
+        forget(m, TS, constants[SPEED_DELAY_VARIANCE])
         combine(m)
         # What even a reopened scale cannot explain is no wheel speed of this car.
         _correct_by_wheel(m, constants, rows, r, constants[GATE], 0.0)

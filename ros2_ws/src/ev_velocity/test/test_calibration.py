@@ -38,6 +38,28 @@ def test_a_drive_that_learned_nothing_spoils_no_file(params):
     assert not calibration.save(VelocityEstimator())
 
 
+def test_what_could_not_be_loaded_again_is_not_saved(params):
+    calibration.save(learned_estimator(params))
+    far = learned_estimator(params)
+    far.state[mem.X + mem.S] = 0.25
+    with pytest.raises(ParameterError, match=r"wheels\.json.*'scale'"):
+        calibration.save(far)
+    assert calibration.load(params).scale == -0.0123
+
+
+def test_a_live_change_leaves_what_the_file_said(params):
+    calibration.save(learned_estimator(params))
+    estimator = calibration.calibrated(params)
+    sigma = estimator.params.scale_sigma
+    # The node hands over its own parameters, which know nothing of the file.
+    estimator.set_params(replace(params, gate=12.0))
+    estimator.reset()
+    assert estimator.params.gate == 12.0
+    assert estimator.learned()['scale'] == -0.0123
+    assert estimator.params.scale_sigma == sigma
+    assert not calibration.save(estimator)
+
+
 @pytest.mark.parametrize(
     'text', ['{', '{}', '[]', '{"scale": 5.0, "scale_sigma": 1e-3, "slip": 0, "slip_sigma": 0}']
 )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ev_velocity.can_frames import (
+    SET_BACK,
     CanDecoder,
     CanError,
     CarOnCan,
@@ -21,6 +22,8 @@ from ev_velocity.can_frames import (
     replay,
 )
 from ev_velocity.can_profiles import IMIEV, PROFILES, TOYOTA86, Profile, Signal
+from ev_velocity.can_source import BusFrames
+from node_core.byte_sources import SourceError
 
 DATA = Path(os.environ.get('ESTIMATOR_DATA', '../shared/data')) / 'ev'
 START = 1_767_225_600_000_000_000
@@ -95,6 +98,88 @@ def test_missing_and_stale_frames_are_named(car):
     d.on_frame(START + 60 * PERIOD, 0x215, bytes(8))
     assert 'SPEED' not in d.stale(START + 60 * PERIOD, 0.5)
     assert 'GEAR' in d.stale(START + 60 * PERIOD, 0.5)
+
+
+def test_a_clock_that_is_set_back_is_followed(car):
+    d = decoder()
+    for i in range(50):
+        feed(d, car.frames(5.0, 0.1, 0.0), START + i * PERIOD)
+    back = START - 3600 * 10**9
+    assert set(d.stale(back, 0.5)) == set(d.health)
+    readings = [feed(d, car.frames(6.0, 0.1, 0.0), back + i * PERIOD) for i in range(4)]
+    refused = sum(h.rejected['stamp goes back'] for h in d.health.values())
+    assert refused == SET_BACK - 1
+    assert [len(some) for some in readings[2:]] == [4, 4]
+    assert d.stale(back + 4 * PERIOD, 0.5) == []
+    last = next(r for r in readings[3] if isinstance(r, Wheels))
+    assert last.speeds == pytest.approx([6.0] * 4, abs=0.02)
+
+
+def test_single_frames_out_of_order_are_no_set_back(car):
+    d = decoder()
+    for i in range(3 * SET_BACK):
+        feed(d, car.frames(5.0, 0.1, 0.0), START + i * PERIOD)
+        assert d.on_frame(START - 10**9, 0x215, bytes(8)) == []
+    assert d.health['SPEED'].rejected['stamp goes back'] == 3 * SET_BACK
+
+
+class Bus:
+    """A bus of python-can that gives what it is told; as socketcan's, it never says that it is off."""
+
+    state = can.BusState.ACTIVE
+
+    def __init__(self, *messages):
+        self.messages = list(messages)
+        self.open = True
+
+    def recv(self, timeout):
+        message = self.messages.pop(0) if self.messages else None
+        if isinstance(message, Exception):
+            raise message
+        return message
+
+    def shutdown(self):
+        self.open = False
+
+
+def bus_of(monkeypatch, *messages):
+    bus = Bus(*messages)
+    monkeypatch.setattr(can, 'Bus', lambda **_: bus)
+    return bus, BusFrames('socketcan', 'can0', 500_000)
+
+
+def test_a_live_bus_gives_frames_and_counts_its_errors(monkeypatch):
+    data = can.Message(arbitration_id=0x215, data=bytes(8), is_extended_id=False)
+    noisy = can.Message(arbitration_id=0x08, data=bytes(8), is_error_frame=True)
+    bus, frames = bus_of(monkeypatch, data, None, noisy)
+    assert frames.read() == (0, 0x215, bytes(8), False)
+    assert frames.read() == ()
+    assert frames.read().error
+    frames.close()
+    assert not bus.open
+
+
+def test_a_controller_that_leaves_the_bus_is_named(monkeypatch):
+    off = can.Message(arbitration_id=0x40, data=bytes(8), is_error_frame=True)
+    _, frames = bus_of(monkeypatch, off)
+    with pytest.raises(SourceError, match="socketcan 'can0': bus-off"):
+        frames.read()
+    bus, frames = bus_of(monkeypatch)
+    bus.state = can.BusState.ERROR
+    with pytest.raises(SourceError, match='bus-off'):
+        frames.read()
+    # A data frame may have that bit in its id.
+    _, frames = bus_of(monkeypatch, can.Message(arbitration_id=0x40, data=b'', is_extended_id=False))
+    assert frames.read().frame_id == 0x40
+
+
+def test_a_lost_interface_is_named(monkeypatch):
+    _, frames = bus_of(monkeypatch, can.CanOperationError('gone'))
+    with pytest.raises(SourceError, match="'can0' lost: gone"):
+        frames.read()
+    monkeypatch.undo()
+    with pytest.raises(SourceError, match="'x' cannot be opened"):
+        BusFrames('nonsense', 'x', 500_000)
 
 
 def test_a_counter_that_stands_still_is_a_frozen_sender():

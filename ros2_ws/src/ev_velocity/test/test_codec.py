@@ -6,6 +6,9 @@ import pytest
 
 from bag_tools.bag import zeroed
 from ev_velocity import codec
+from ev_velocity.can_frames import Acceleration, Gear, Pedals, Speed, Wheels
+from ev_velocity.driver_codec import SPEED_SIGMA, TOPICS, encode_gps, encode_reading
+from ev_velocity.gps_stream import GpsSpeed
 from ev_velocity.phases import Phase
 from ev_velocity.samples import (
     AccelerationEstimate,
@@ -68,8 +71,16 @@ def test_what_no_estimator_can_use_is_refused_with_its_reason(make):
     imu.linear_acceleration.x = math.nan
     with pytest.raises(BadMessage, match='not finite'):
         codec.decode_force(imu)
+    imu.linear_acceleration.x = 0.0
+    imu.linear_acceleration_covariance[0] = -1.0
+    with pytest.raises(BadMessage, match='no specific force'):
+        codec.decode_force(imu)
     gps = make(codec.TWIST)
     set_stamp(gps.header, STAMP)
+    gps.twist.twist.linear.x = math.nan
+    with pytest.raises(BadMessage, match='speed not finite'):
+        codec.decode_wheel_speed(gps)
+    gps.twist.twist.linear.x = 0.0
     gps.twist.covariance[0] = math.nan
     with pytest.raises(BadMessage, match='variance'):
         codec.decode_gps(gps)
@@ -77,10 +88,45 @@ def test_what_no_estimator_can_use_is_refused_with_its_reason(make):
         codec.decode_encoder(joints(make, ['other'], 'position', [1.0]))
     with pytest.raises(BadMessage, match='2 names but 1 values'):
         codec.decode_pedals(joints(make, ['brake', 'accelerator'], 'position', [0.0]))
+    with pytest.raises(BadMessage, match="'brake' not finite"):
+        codec.decode_pedals(joints(make, ['brake', 'accelerator'], 'position', [math.nan, 0.0]))
+    with pytest.raises(BadMessage, match='1 names but 2 values'):
+        codec.decode_wheels(joints(make, ['wheel_a'], 'velocity', [1.0, 2.0]))
     with pytest.raises(BadMessage, match='gear 3'):
         codec.decode_gear(joints(make, ['gear'], 'position', [3.0]))
     with pytest.raises(BadMessage, match='no finite wheel rate'):
         codec.decode_wheels(joints(make, ['wheel_a'], 'velocity', [math.nan]))
+
+
+@MAKERS
+def test_a_negative_variance_says_unknown(make):
+    wheel = make(codec.TWIST)
+    set_stamp(wheel.header, STAMP)
+    wheel.twist.twist.linear.x = 3.0
+    wheel.twist.covariance[0] = -1.0
+    assert codec.decode_wheel_speed(wheel) == (STAMP, 3.0, 0.0)
+
+
+@MAKERS
+def test_readings_of_the_drivers_come_back_through_the_estimators_decoders(make):
+    def encoded(reading, radius=0.3):
+        message = make(TOPICS[type(reading)][1])
+        encode_reading(reading, message, STAMP, radius)
+        return message
+
+    wheels = encoded(Wheels(0, ('wheel_a', 'wheel_b'), (3.0, math.nan)))
+    assert codec.decode_wheels(wheels) == (STAMP, (pytest.approx(10.0),))
+    assert codec.decode_pedals(encoded(Pedals(0, 0.25, 0.5))) == (STAMP, 0.25, 0.5)
+    assert codec.decode_gear(encoded(Gear(0, -1))) == (STAMP, -1)
+    assert codec.decode_wheel_speed(encoded(Speed(0, 9.0))) == (STAMP, 9.0, pytest.approx(SPEED_SIGMA**2))
+    imu = encoded(Acceleration(0, -1.5))
+    assert codec.decode_force(imu) == (STAMP, -1.5)
+    assert (imu.orientation_covariance[0], imu.angular_velocity_covariance[0]) == (-1.0, -1.0)
+    gps = make(codec.TWIST)
+    encode_gps(GpsSpeed(5.0, 3.0, -4.0, 0.2, 0), gps, STAMP, 'gps')
+    assert codec.decode_gps(gps) == (STAMP, 5.0, pytest.approx(0.04))
+    assert gps.twist.covariance[7] == pytest.approx(0.04)
+    assert gps.header.frame_id == 'gps'
 
 
 @MAKERS
@@ -106,9 +152,10 @@ def test_estimates_fill_their_messages_and_every_covariance(make):
     slip = encoded(SlipEstimate(STAMP, 0.4, Phase.BRAKING, True))
     assert list(slip.name) == ['slip_ratio', 'phase', 'slipping']
     assert list(slip.position) == [0.4, 2.0, 1.0]
-    learned = encoded(ConstantsEstimate(STAMP, tuple(range(6)), tuple(range(6, 12))))
-    assert list(learned.position) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    assert list(learned.effort) == [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]
+    learned = encoded(ConstantsEstimate(STAMP, tuple(range(7)), tuple(range(7, 14))))
+    assert list(learned.name)[-2:] == ['wheel_delay', 'speed_delay']
+    assert list(learned.position) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert list(learned.effort) == [7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0]
 
 
 @pytest.mark.parametrize('name', codec.ESTIMATORS)

@@ -20,6 +20,7 @@ from ev_velocity.samples import (
     GpsSample,
     PedalSample,
     SettledFusion,
+    WheelRateSample,
     WheelSpeedSample,
 )
 from ev_velocity.scenarios import PULSES, scenario
@@ -127,6 +128,33 @@ def test_the_fused_speed_follows_the_car_and_not_the_oil(variant):
     assert max(slips) < 0.5
 
 
+@pytest.mark.parametrize(
+    ('name', 'low', 'high'),
+    [('good_road_10hz', 0.05, 1.0), ('good_road_1hz', 0.3, 2.0), ('no_gps', 0.05, 1.0)],
+)
+def test_the_corrected_variance_bounds_the_error(name, low, high):
+    found = []
+    for seed in range(8):
+        drive = scenario(name, seed)
+        speed, variance = fusion_batch.run_drive(FusionParams(), drive)
+        found.append(np.mean((speed - drive.v)[500:] ** 2 / variance[500:]))
+    assert low < np.mean(found) < high
+
+
+@pytest.mark.parametrize('variant', ['published', 'corrected'])
+def test_before_a_speed_was_seen_the_variance_says_so(variant):
+    estimator = FusionEstimator(FusionParams(variant=variant))
+    for i in range(1, 500):
+        last = estimator.on_force(ForceSample(START + i * 2_000_000, 0.1))
+        assert last.variance > 100.0
+    for i in range(500, 5000):
+        if i % 50 == 0:
+            estimator.on_gps(GpsSample(START + i * 2_000_000, 20.0))
+        last = estimator.on_force(ForceSample(START + i * 2_000_000, 0.0))
+    assert last.speed == pytest.approx(20.0, abs=0.1)
+    assert last.variance < 0.1
+
+
 def test_without_gps_the_wheel_alone_holds_the_integral():
     drive = scenario('no_gps', 0)
     speed, _ = fusion_batch.run_drive(FusionParams(wheel_scale=-drive.radius_error), drive)
@@ -166,6 +194,56 @@ def test_junk_is_refused_and_leaves_no_trace():
     estimator.on_pedals(PedalSample(START + 10**9, 2.0, 0.0))
     np.testing.assert_array_equal(estimator.state, before)
     assert sum(sum(s.rejected.values()) for s in estimator.tally.sensors.values()) == 5
+
+
+def test_wheel_rates_and_the_speedometer_are_wheel_speeds():
+    speeds = []
+    for handler, sample in (
+        ('on_wheel_speed', WheelSpeedSample(0, 6.0)),
+        ('on_obd_speed', WheelSpeedSample(0, -6.0)),
+        ('on_wheel_rates', WheelRateSample(0, (0.0, 20.0, 20.0))),
+    ):
+        estimator = FusionEstimator(FusionParams(wheel_radius=0.3))
+        for i in range(1, 2000):
+            stamp = START + i * 2_000_000
+            if i % 50 == 0:
+                getattr(estimator, handler)(sample._replace(stamp=stamp))
+            last = estimator.on_force(ForceSample(stamp, 0.0))
+        speeds.append(last.speed)
+    assert speeds[0] == speeds[1]
+    assert speeds[2] == pytest.approx(speeds[0], abs=1e-9)
+    assert estimator.on_wheel_rates(WheelRateSample(START + 10**11, ())) is None
+    assert estimator.tally.sensors['wheel/states'].rejected.total() == 1
+
+
+def test_live_parameters_take_effect_and_a_reset_forgets_everything():
+    estimator = FusionEstimator()
+    fresh = estimator.state.copy()
+    for i in range(1, 1000):
+        stamp = START + i * 2_000_000
+        if i % 50 == 0:
+            estimator.on_gps(GpsSample(stamp, 10.0))
+            estimator.on_wheel_speed(WheelSpeedSample(stamp, 12.0))
+        speed = estimator.on_force(ForceSample(stamp, 0.0)).speed
+    assert speed < 10.5
+    estimator.set_params(replace(FusionParams(), sigma_gps=(5.0,) * 4, sigma_wheel=(0.1,) * 4))
+    for i in range(1000, 2000):
+        stamp = START + i * 2_000_000
+        if i % 50 == 0:
+            estimator.on_gps(GpsSample(stamp, 10.0))
+            estimator.on_wheel_speed(WheelSpeedSample(stamp, 12.0))
+        speed = estimator.on_force(ForceSample(stamp, 0.0)).speed
+    assert speed > 11.5
+    estimator.reset()
+    np.testing.assert_array_equal(estimator.state, fresh)
+
+
+def test_an_output_is_not_lost_when_another_sensor_ran_ahead():
+    estimator = FusionEstimator()
+    estimator.on_force(ForceSample(START, 0.0))
+    estimator.on_gps(GpsSample(START + 5_000_000, 5.0))
+    late = estimator.on_force(ForceSample(START + 2_000_000, 0.0))
+    assert late.stamp == START + 2_000_000
 
 
 def test_in_reverse_the_unsigned_sensors_take_the_sign_of_the_gear():

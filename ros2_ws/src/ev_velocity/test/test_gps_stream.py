@@ -2,13 +2,15 @@
 import calendar
 import math
 
+import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pynmeagps import NMEAMessage
 from pyubx2 import UBXMessage
 
 from ev_velocity.gps_stream import KNOT, GpsStream
+from node_core.byte_frames import UBX
 
 
 def rmc(knots='12.5', course='90.0', status='A'):
@@ -90,6 +92,57 @@ def test_a_speed_has_the_arrival_of_its_first_byte():
     first, *_ = stream.feed(data[20:-5], 200)
     (second,) = stream.feed(data[-5:], 300)
     assert (first.arrival, second.arrival) == (100, 200)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.integers(0, 20),
+    st.integers(0, 99),
+    st.integers(1, 255),
+    st.integers(7, 120),
+    st.sampled_from((pvt, rmc)),
+)
+@example(10, 5, 0x1F, 100, pvt)
+@example(10, 4, 0xFF, 100, pvt)
+def test_one_damaged_byte_costs_one_speed_and_ages_none(which, at, flip, piece, make):
+    """10 Hz; `make` gives a message of its own speed each time, fed in pieces 1 ms apart."""
+    stream, began, got = GpsStream(0.1), {}, []
+    for i in range(30):
+        speed = 1.0 + i
+        data = bytearray(pvt(0, round(speed * 1e3)) if make is pvt else rmc(f'{speed / KNOT:.6f}'))
+        if i == which:
+            data[at % len(data)] ^= flip
+        now = 1000 + 100 * i
+        began[i] = now
+        for start in range(0, len(data), piece):
+            got += [(now, s) for s in stream.feed(bytes(data[start : start + piece]), now)]
+            now += 1
+    # A damaged line end takes the next line with it.
+    assert len(got) >= 28
+    assert all(s.arrival == began[round(s.speed - 1.0)] for _, s in got)
+    assert np.diff([now for now, _ in got]).max(initial=0) <= 320
+
+
+def test_after_the_source_was_lost_no_speed_has_a_time_from_before():
+    stream = GpsStream(0.1)
+    assert not list(stream.feed(rmc()[:40], 100))
+    stream.clear()
+    (speed,) = stream.feed(rmc('3.0'), 10_100)
+    assert speed.arrival == 10_100
+
+
+def test_what_a_parser_stumbles_over_is_counted():
+    stream = GpsStream(0.1)
+    assert not list(stream.feed(rmc('1.2.3')))
+    # Whole by its checksum, but of another length than a NAV-PVT.
+    body = b'\x01\x07' + (20).to_bytes(2, 'little') + bytes(20)
+    first = second = 0
+    for byte in body:
+        first = (first + byte) & 255
+        second = (second + first) & 255
+    assert not list(stream.feed(UBX.sync + body + bytes((first, second))))
+    assert stream.rejected == {'not decodable (NMEATypeError)': 1, 'no fix': 1}
+    assert len(list(stream.feed(pvt()))) == 1
 
 
 def test_messages_of_other_kinds_are_passed_over():

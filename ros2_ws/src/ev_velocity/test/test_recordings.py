@@ -2,11 +2,13 @@
 import os
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
+from ev_velocity.can_frames import OWN_DBC, CarOnCan
 from ev_velocity.params import VelocityParams
-from ev_velocity.recordings import RecordingError, columns, read_kingston
+from ev_velocity.recordings import RecordingError, columns, read_can, read_kingston, read_obd
 from ev_velocity.velocity_batch import run
 
 DATA = Path(os.environ.get('ESTIMATOR_DATA', '../shared/data'))
@@ -62,3 +64,29 @@ def test_a_missing_column_is_named(tmp_path):
         columns(tmp_path / 'b.csv', 't_s', 'v')
     with pytest.raises(RecordingError, match=r'c\.csv'):
         columns(tmp_path / 'c.csv', 't_s')
+
+
+def test_a_log_becomes_times_and_values_from_its_first_frame(tmp_path):
+    path = tmp_path / 'drive.log'
+    car = CarOnCan('virtual', 'test_recordings')
+    with can.Logger(str(path)) as writer:
+        for i in range(50):
+            for message in car.frames(0.1 * i, 0.2, 0.0):
+                message.timestamp, message.channel = 1_767_225_600.0 + 0.02 * i, 0
+                writer.on_message_received(message)
+    car.close()
+    drive = read_can(path, OWN_DBC, 'imiev')
+    t, wheels = drive.wheels
+    np.testing.assert_allclose(t, 0.02 * np.arange(50), atol=1e-6)
+    assert wheels.shape == (50, 4)
+    np.testing.assert_allclose(wheels[1:, 0], 0.1 * np.arange(1, 50), atol=0.02)
+    assert drive.force[0].size == drive.force[1].size == 0
+    assert set(drive.gear[1]) == {1}
+    assert (drive.frames, drive.rejected) == (250, 0)
+    assert drive.duration == pytest.approx(0.98, abs=1e-5)
+
+
+def test_an_obd_file_gives_time_reference_and_speed(tmp_path):
+    (tmp_path / 'obd.csv').write_text('gps_s,ref_mps,obd_mps\n1,2.5,2.2\n2,3.5,3.3\n')
+    t, reference, obd = read_obd(tmp_path / 'obd.csv')
+    assert (list(t), list(reference), list(obd)) == ([1.0, 2.0], [2.5, 3.5], [2.2, 3.3])

@@ -103,10 +103,11 @@ def test_between_two_blocks_speed_and_variance_are_those_of_a_full_step():
     assert m[mem.X + mem.V] == pytest.approx(full[mem.X + mem.V], abs=1e-12)
     assert m[mem.X + mem.D] == pytest.approx(full[mem.X + mem.D], abs=1e-4)
     assert m[mem.OUT_SPEED] == pytest.approx(full[mem.OUT_SPEED], abs=1e-12)
-    assert m[mem.OUT_SPEED_VARIANCE] == pytest.approx(full[mem.OUT_SPEED_VARIANCE], rel=1e-3)
+    # What gain and speed have in common is left out between blocks.
+    assert m[mem.OUT_SPEED_VARIANCE] == pytest.approx(full[mem.OUT_SPEED_VARIANCE], rel=2e-3)
 
 
-@pytest.mark.parametrize('index', [mem.TG, mem.TW])
+@pytest.mark.parametrize('index', [mem.TG, mem.TS])
 def test_the_row_of_a_delayed_speed_is_its_derivative(index):
     m = alone(moving())
     place(m, index, 0.153)

@@ -6,6 +6,7 @@ Sources: u-blox interface descriptions, "UBX frame structure"; IEC 61162-1 secti
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -105,21 +106,25 @@ RTCM = Protocol(b'\xd3', _rtcm_length, lambda message: crc24q(message) == 0)
 class MessageCutter:
     """Cuts a stream into whole messages with a right checksum; `rejected` counts what is none.
 
-    After a bad message the search goes on inside it, so that a false start costs no true message.
+    After a bad message the search goes on inside it, so that a false start costs no true message; and a start
+    that waits for the rest of its bytes gives way to a whole message among those that came. `arrival` is that
+    of the first byte of the message yielded last.
     """
 
     def __init__(self, rejected: Counter[str], *protocols: Protocol) -> None:
+        self.arrival = 0
         self._buffer = b''
+        self._pieces: list[tuple[int, int]] = []  # where in the buffer a piece begins, its arrival
         self._rejected = rejected
         self._protocols = protocols
 
-    @property
-    def pending(self) -> bool:
-        """Whether bytes of a message that is not complete are held."""
-        return bool(self._buffer)
+    def clear(self) -> None:
+        """Forget the bytes held: what follows comes from a source that was opened anew."""
+        self._buffer, self._pieces = b'', []
 
-    def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield the messages that `data` completes."""
+    def feed(self, data: bytes, arrival: int = 0) -> Iterator[bytes]:
+        """Yield the messages that `data`, which came at `arrival`, completes."""
+        pieces = [*self._pieces, (len(self._buffer), arrival)]
         view, position = self._buffer + data, 0
         while True:
             start, protocol = self._next(view, position)
@@ -128,20 +133,39 @@ class MessageCutter:
                 break
             length = protocol.length(view, start)
             if length == _MORE or len(view) < start + length:
-                position = start
-                break
+                inside = self._whole_after(view, start + len(protocol.sync))
+                if inside < 0:
+                    position = start
+                    break
+                self._rejected['no message'] += 1
+                position = inside
+                continue
             if length == _NO_MESSAGE:
                 self._rejected['no message'] += 1
                 position = start + len(protocol.sync)
                 continue
             message = view[start : start + length]
             if protocol.whole(message):
+                self.arrival = pieces[_piece_of(pieces, start)][1]
                 yield message
                 position = start + length
             else:
                 self._rejected['checksum'] += 1
                 position = start + len(protocol.sync)
         self._buffer = view[position:]
+        kept = pieces[_piece_of(pieces, position) :]
+        self._pieces = [(max(at - position, 0), came) for at, came in kept]
+
+    def _whole_after(self, view: bytes, position: int) -> int:
+        """Return where the first whole message from `position` on begins, -1 without one."""
+        while True:
+            start, protocol = self._next(view, position)
+            if protocol is None:
+                return -1
+            length = protocol.length(view, start)
+            if length > 0 and len(view) >= start + length and protocol.whole(view[start : start + length]):
+                return start
+            position = start + len(protocol.sync)
 
     def _next(self, view: bytes, position: int) -> tuple[int, Protocol | None]:
         """Return the first sync and its protocol; without one, from where bytes may still become a sync."""
@@ -151,3 +175,8 @@ class MessageCutter:
             len(p.sync) > 1 and view[position:].endswith(p.sync[:1]) for p in self._protocols
         )
         return min(found, key=lambda pair: pair[0]) if found else (half, None)
+
+
+def _piece_of(pieces: list[tuple[int, int]], position: int) -> int:
+    """Return the index of the piece that the byte at `position` belongs to."""
+    return bisect_right(pieces, position, key=lambda piece: piece[0]) - 1

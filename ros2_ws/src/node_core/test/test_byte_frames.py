@@ -55,6 +55,43 @@ def test_garbage_truncation_and_bad_checksums_cost_no_good_message(protocol, mak
     assert rejected['checksum'] >= 1
 
 
+@pytest.mark.parametrize('piece', [1, 33, 10**6])
+@pytest.mark.parametrize(('protocol', 'make'), [(UBX, ubx), (RTCM, rtcm)], ids=['ubx', 'rtcm'])
+def test_a_damaged_length_holds_nothing_back(protocol, make, piece):
+    good = make()
+    broken = bytearray(good)
+    broken[5 if protocol is UBX else 1] ^= 0x03
+    out, rejected = cut(bytes(broken) + good, protocol, piece=piece)
+    assert out == [good]
+    assert rejected == {'no message': 1}
+
+
+@pytest.mark.parametrize('piece', [1, 7, 64])
+def test_every_message_has_the_arrival_of_its_own_first_byte(piece):
+    stream = ubx(1)[:40] + ubx(2) + nmea() + ubx(3)[:50] + nmea(3.0) + b'$GP' + ubx(4) + nmea() + nmea(3.0)
+    cutter = MessageCutter(Counter(), UBX, NMEA)
+    found = [
+        (message, cutter.arrival)
+        for at in range(0, len(stream), piece)
+        for message in cutter.feed(stream[at : at + piece], at)
+    ]
+    begins, position = [], 0
+    for message in (ubx(2), nmea(), nmea(3.0), ubx(4), nmea(), nmea(3.0)):
+        position = stream.index(message, position)
+        begins.append((message, position - position % piece))
+        position += len(message)
+    assert found == begins
+
+
+def test_a_source_opened_anew_has_nothing_from_before():
+    cutter = MessageCutter(Counter(), UBX)
+    assert not list(cutter.feed(ubx()[:60], 1))
+    cutter.clear()
+    assert not list(cutter.feed(ubx()[60:], 2))
+    assert list(cutter.feed(ubx(2), 3)) == [ubx(2)]
+    assert cutter.arrival == 3
+
+
 def test_a_length_that_cannot_be_is_not_waited_for():
     out, rejected = cut(b'\xb5\x62\x02\x15\xff\xff' + ubx(), UBX)
     assert (len(out), rejected) == (1, {'no message': 1})

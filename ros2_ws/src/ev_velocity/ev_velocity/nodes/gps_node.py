@@ -11,6 +11,7 @@ from ev_velocity.driver_codec import encode_gps
 from ev_velocity.gps_stream import GpsSpeed, GpsStream
 from ev_velocity.sim_params import GpsParams
 from node_core.byte_node import ByteNode
+from node_core.byte_sources import Source
 from node_core.diagnostics import OK
 
 
@@ -26,6 +27,11 @@ class GpsDriverNode(ByteNode):
         speeds, self._message = self.publish_to(TWIST, 'gps/speed')
         self._publish = speeds.publish
         self.begin_bytes(speeds)
+
+    def open(self) -> Source[bytes]:
+        """Open the source; the end of a message from before it was lost will not come."""
+        self._stream.clear()
+        return super().open()
 
     def samples(self, item: bytes, arrival: int) -> Iterable[GpsSpeed]:
         """Decode bytes."""

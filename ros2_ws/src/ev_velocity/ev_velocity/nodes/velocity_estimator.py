@@ -12,6 +12,7 @@ def build():
     """Return the node; imports are here so that Ctrl-C while kernels load is clean too."""
     from ev_velocity import calibration
     from ev_velocity.codec import VELOCITY_PORTS
+    from kalman_core.parameters import ParameterError
     from node_core.node import EstimatorNode
 
     class VelocityEstimatorNode(EstimatorNode):
@@ -24,7 +25,7 @@ def build():
         def _save(self):
             try:
                 calibration.save(self.driver.estimator)
-            except OSError as error:
+            except (OSError, ParameterError) as error:
                 self.get_logger().error(f'calibration_file not written: {error}')
 
         def destroy_node(self):

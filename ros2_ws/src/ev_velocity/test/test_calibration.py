@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -69,3 +70,18 @@ def test_a_bad_file_is_named(params, text, tmp_path):
     path.write_text(text)
     with pytest.raises(ParameterError, match=r'wheels\.json'):
         calibration.load(params)
+
+
+def test_a_full_disk_leaves_the_old_file_and_no_other(params, monkeypatch):
+    calibration.save(learned_estimator(params))
+
+    def full(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(calibration.os, 'replace', full)
+    better = learned_estimator(params)
+    better.state[mem.X + mem.S] = 0.05
+    with pytest.raises(OSError, match='No space left'):
+        calibration.save(better)
+    assert calibration.load(params).scale == -0.0123
+    assert [path.name for path in Path(params.calibration_file).parent.iterdir()] == ['wheels.json']

@@ -256,3 +256,13 @@ def test_in_reverse_the_unsigned_sensors_take_the_sign_of_the_gear():
             estimator.on_gps(GpsSample(stamp, 2.0))
         last = estimator.on_force(ForceSample(stamp, 0.0))
     assert last.speed == pytest.approx(-2.0, abs=0.05)
+
+
+def test_the_batch_runs_without_pedals():
+    drive = scenario('good_road_10hz', 1)
+    wheel = (drive.t[::50], drive.wheel_speed[::50])
+    speed, variance = fusion_batch.run(
+        FusionParams(), (drive.t, drive.accelerometer), (drive.gps_t, drive.gps_v), wheel
+    )
+    assert np.sqrt(np.mean((speed - drive.v) ** 2)) < 1.0
+    assert (variance > 0.0).all()

@@ -150,3 +150,17 @@ def test_messages_of_other_kinds_are_passed_over():
     other = NMEAMessage('GP', 'GLL', 0, lat=47.0, lon=8.0).serialize()
     assert len(list(stream.feed(other + rmc()))) == 1
     assert not stream.rejected
+
+
+def test_a_message_without_date_has_no_utc():
+    body = 'GPRMC,083559.50,A,4717.11437,N,00833.91522,E,12.5,90.0,,,,A'
+    checksum = 0
+    for character in body:
+        checksum ^= ord(character)
+    (speed,) = GpsStream(0.1).feed(f'${body}*{checksum:02X}\r\n'.encode())
+    assert speed.utc == 0
+    plain = UBXMessage(
+        'NAV', 'NAV-PVT', 0, validDate=0, validTime=0, fixType=3, gnssFixOk=1, velE=3000, velN=4000, sAcc=120
+    )
+    (speed,) = GpsStream(0.1).feed(plain.serialize())
+    assert (speed.utc, speed.speed) == (0, pytest.approx(5.0))

@@ -11,15 +11,17 @@ from quad_control.params import GRAVITY, ControllerParams
 
 # Flat state: height (m), climb rate (m/s), time of the last range (s), hover thrust (fraction), integral
 # (fraction), held height (m), whether held, time low on the ground since (s, < 0 none), correction of the
-# vertical acceleration (m/s²).
-_HEIGHT, _CLIMB, _RANGE_TIME, _HOVER, _INTEGRAL, _HELD, _HOLDING, _LOW_SINCE, _TRIM = range(9)
-SIZE = 9
+# vertical acceleration (m/s²), heights in a row that did not fit.
+_HEIGHT, _CLIMB, _RANGE_TIME, _HOVER, _INTEGRAL, _HELD, _HOLDING, _LOW_SINCE, _TRIM, _JUMPS = range(10)
+SIZE = 10
 # Observer with a triple pole at 2 rad/s: slower than the range finder's noise, faster than a drift.
 _POLE = 2.0
 # Range samples may be 0.1 s apart (10 Hz finder); longer than this (s) is silence.
 _FRESH = 0.5
 # Hover thrust is learnt with this time constant (s) while the vertical force is within these limits of g.
 _HOVER_TIME, _HOVER_LOW, _HOVER_HIGH = 0.5, 0.7, 1.3
+# A height that jumps is believed when so many in a row do not fit: 0.4 s at 10 Hz.
+_JUMP_CONFIRMATIONS = 4
 # On the ground: lower than this (m) and not moving faster than this (m/s) for this long (s).
 _LANDED_HEIGHT, _LANDED_CLIMB, _LANDED_TIME = 0.25, 0.15, 0.5
 # Held heights move with climb rates of at most this (m/s).
@@ -29,7 +31,7 @@ _INTEGRAL_LIMIT = 0.2
 
 
 class Altitude:
-    """Keeps height, climb rate and hover thrust in `state` (9,)."""
+    """Keeps height, climb rate and hover thrust in `state` (10,)."""
 
     def __init__(self, state: np.ndarray) -> None:
         self.state = state
@@ -62,18 +64,23 @@ class Altitude:
         self.state[_HEIGHT] += dt * self.state[_CLIMB]
         self.state[_CLIMB] += dt * (up + self.state[_TRIM])
 
-    def correct(self, height: float, time: float) -> None:
-        """Take a measured height (m) at `time` (s)."""
+    def correct(self, height: float, time: float, jump: float = math.inf) -> bool:
+        """Take a measured height (m) at `time` (s); False: more than `jump` (m) off and not yet believed."""
         s = self.state
         gap = time - s[_RANGE_TIME]
         if gap > _FRESH:
             s[_HEIGHT], s[_CLIMB] = height, 0.0
+        elif abs(error := height - s[_HEIGHT]) > jump:
+            s[_JUMPS] += 1.0
+            if s[_JUMPS] < _JUMP_CONFIRMATIONS:
+                return False
+            s[_HEIGHT] = height  # the ground has stepped, not the craft: it climbs as before
         else:
-            error = height - s[_HEIGHT]
             s[_HEIGHT] += min(3.0 * _POLE * gap, 1.0) * error
             s[_CLIMB] += min(3.0 * _POLE**2 * gap, 1.0) * error
             s[_TRIM] += _POLE**3 * gap * error
-        s[_RANGE_TIME] = time
+        s[_RANGE_TIME], s[_JUMPS] = time, 0.0
+        return True
 
     def learn_hover(self, thrust: float, force_up: float, dt: float) -> None:
         """Learn the hover thrust: the thrust fraction given over the specific force it made."""
@@ -105,6 +112,10 @@ class Altitude:
     def release(self) -> None:
         """End a hold."""
         self.state[_HOLDING] = 0.0
+
+    def sinking(self, time: float, rate: float) -> bool:
+        """Whether a height heard lately is above the ground and falls by more than `rate` (m/s)."""
+        return self.fresh(time) and self.state[_HEIGHT] > _LANDED_HEIGHT and self.state[_CLIMB] < -rate
 
     def on_ground(self, time: float) -> bool:
         """Whether the craft has been low and at rest long enough to stop the motors."""

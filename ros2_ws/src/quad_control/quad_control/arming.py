@@ -5,7 +5,7 @@
 |---|---|---|
 | disarmed | stopped | the arm switch goes on, all checks passed |
 | armed | fly | switch off, kill, a fault |
-| descent | fly level, sink | switch off, kill, a worse fault, time out; link back: armed again |
+| descent | fly level, sink | switch off, kill, a worse fault, too long no sinking; link back: armed again |
 | stopped | stopped after a fault | switch off |
 """
 
@@ -20,14 +20,17 @@ from quad_control.params import ArmingParams
 DISARMED, ARMED, DESCENT, STOPPED = 0.0, 1.0, 2.0, 3.0
 NAMES = {DISARMED: 'disarmed', ARMED: 'armed', DESCENT: 'failsafe descent', STOPPED: 'failsafe stopped'}
 
-# Flat state: mode, time of entering it, last switch (1 on, 0 off, -1 not seen), start of low voltage (s, < 0
-# none), whether the descent is for a lost link.
+# Flat state: mode, time of entering it (of a descent: of last seeing it sink), last switch (1 on, 0 off,
+# -1 not seen), start of low voltage (s, < 0 none), whether the descent is for a lost link.
 MODE, SINCE, SWITCH, LOW_SINCE, LINK_REASON = range(5)
 SIZE = 5
 
 
 class Checks(NamedTuple):
-    """What the machine looks at on one tick. `time` in s; `tilt` rad; ages in s; `rate_sigma` rad/s."""
+    """What the machine looks at on one tick. `time` in s; `tilt` rad; ages in s; `rate_sigma` rad/s.
+
+    `sinking`: a measured height is above the ground and falls.
+    """
 
     time: float
     attitude_age: float
@@ -37,6 +40,7 @@ class Checks(NamedTuple):
     throttle: float
     switch: bool
     voltage: float | None
+    sinking: bool = False
 
 
 class Arming:
@@ -107,6 +111,8 @@ class Arming:
             return self._enter(STOPPED, c.time, f'attitude is {1e3 * c.attitude_age:.0f} ms old')
         if not c.rate_sigma <= p.max_rate_sigma:
             return self._enter(STOPPED, c.time, f'rates not known: sigma {c.rate_sigma:.2f} rad/s')
+        if c.sinking and self.mode == DESCENT:
+            self.state[SINCE] = c.time
         low = self._battery_low(c)
         lost = c.setpoint_age > p.link_timeout
         if self.mode == ARMED:

@@ -207,8 +207,9 @@ class AttitudeModel:
                 self.P[:, 3:6] = 0.0
                 self.P[3:6, 3:6] = variance * np.eye(3)
             else:
+                # A slow steady turn in flight looks still: the heading's mean is bias only on the ground.
                 row = np.zeros(driven.N)
-                for i in range(3):
+                for i in range(3 if s[_STANDING] else 2):
                     row[3 + i] = 1.0
                     driven.update(self.q, self.b, self.v, self.P, row, mean[i] - self.b[i], variance)
                     row[3 + i] = 0.0
@@ -304,6 +305,7 @@ class AttitudeModel:
         p = self.params
         P = self.P
         gx, gy, gz = sample.rate
+        fx, fy, fz = (float(f - o) for f, o in zip(sample.force, p.accelerometer_offset))
         bx, by, bz = (float(v) for v in self.b)
         rate = (gx - bx, gy - by, gz - bz)
         q = self.q
@@ -325,7 +327,7 @@ class AttitudeModel:
             sample.stamp,
             (float(q[0]), float(q[1]), float(q[2]), float(q[3])),
             rate,
-            sample.force,
+            (fx, fy, fz),
             variance,
             spread,
             sample.frame,

@@ -53,13 +53,19 @@ BODY, WORLD = 'base_link', 'map'
 
 
 def decode_imu(message: Any) -> ImuSample:
-    """Decode a raw sensor_msgs/Imu; its orientation is not read."""
+    """Decode a raw sensor_msgs/Imu, not its orientation; raise BadMessage when it carries no rates."""
+    _need_rates(message)
     return ImuSample(
         stamp_of(message),
         finite3(message.angular_velocity, 'angular velocity'),
         finite3(message.linear_acceleration, 'specific force'),
         message.header.frame_id,
     )
+
+
+def _need_rates(message: Any) -> None:
+    if message.angular_velocity_covariance[0] < 0.0:  # REP-145: not measured
+        raise BadMessage('no rates')
 
 
 def encode_imu(sample: ImuSample, message: Any) -> None:
@@ -72,13 +78,19 @@ def encode_imu(sample: ImuSample, message: Any) -> None:
 
 
 def decode_attitude(message: Any) -> Attitude:
-    """Decode a sensor_msgs/Imu with orientation; raise BadMessage when it carries none."""
+    """Decode a sensor_msgs/Imu with orientation; raise BadMessage when it carries none, or no rates.
+
+    A covariance of zeros is unknown: rate variances are then infinite, and nothing arms.
+    """
+    _need_rates(message)
     if message.orientation_covariance[0] < 0.0:
         raise BadMessage('no orientation')
     tilt, rate = message.orientation_covariance, message.angular_velocity_covariance
     variances = [float(c[i]) for c in (tilt, rate) for i in (0, 4, 8)]
     if not all(map(math.isfinite, variances)):
         raise BadMessage('covariance not finite')
+    if not any(rate):
+        variances[3:] = [math.inf] * 3
     w, x, y, z = (float(v) for v in get_quaternion(message.orientation))
     return Attitude(
         stamp_of(message),

@@ -35,6 +35,8 @@ NANOSECONDS = 1_000_000_000
 ATTITUDE, SETPOINT, RANGE, BATTERY, PRESSURE = 'imu/data', 'setpoint', 'range', 'battery', 'pressure'
 # A barometer is heard only when the range finder has been silent for this long (s).
 _RANGE_SILENT = 1.0
+# A height this far (m) from the expected one is an echo, a hole in the ground or a gust in the housing.
+_RANGE_JUMP, _PRESSURE_JUMP = 0.5, 3.0
 # The first step has no predecessor: it takes the paper's period (s).
 _FIRST_STEP = 0.005
 # Attitudes in a row that are older than the newest before the clock is believed to have jumped back.
@@ -89,6 +91,8 @@ class AttitudeController:
         self._ground_pressure: float | None = None
         self._older = 0
         self._unchanged: tuple[float, int] | None = None
+        self._silence = 0.0
+        self._turning = False
         self._told: float | None = None
         self.tuning.reset()
         self._events.clear()
@@ -101,8 +105,10 @@ class AttitudeController:
         if not all(map(math.isfinite, values)):
             self.tally.reject(SETPOINT, 'not finite')
             return
-        if sample.stamp < self._setpoint.stamp and self._setpoint.stamp - sample.stamp < NANOSECONDS:
-            self.tally.reject(SETPOINT, 'older than the last')
+        heard = math.isfinite(self.state[_SETPOINT_TIME])
+        # A message that is only repeated is no pilot: it must not keep a lost link alive.
+        if heard and 0 <= self._setpoint.stamp - sample.stamp < NANOSECONDS:
+            self.tally.reject(SETPOINT, 'duplicate or older than the last')
             return
         p = self.params
         limited = Setpoint(
@@ -125,7 +131,9 @@ class AttitudeController:
             self.tally.reject(RANGE, 'not a height')
             return
         self._range_time = self._newest_time()
-        self.altitude.correct(sample.height, self._range_time)
+        if not self.altitude.correct(sample.height, self._range_time, _RANGE_JUMP):
+            self.tally.reject(RANGE, 'wild jump')
+            return
         self.tally.accept(RANGE, sample.stamp)
 
     def on_pressure(self, sample: PressureSample) -> None:
@@ -137,7 +145,10 @@ class AttitudeController:
             self._ground_pressure = sample.pressure
         time = self._newest_time()
         if time - self._range_time > _RANGE_SILENT:
-            self.altitude.correct(pressure_height(sample.pressure, self._ground_pressure), time)
+            height = pressure_height(sample.pressure, self._ground_pressure)
+            if not self.altitude.correct(height, time, _PRESSURE_JUMP):
+                self.tally.reject(PRESSURE, 'wild jump')
+                return
         self.tally.accept(PRESSURE, sample.stamp)
 
     def on_battery(self, sample: BatterySample) -> None:
@@ -163,6 +174,7 @@ class AttitudeController:
         if time <= last:
             return self._backward(sample)
         self._older = 0
+        self._silence = 0.0
         first = self._attitude is None
         gap = _FIRST_STEP if first else time - last
         self.state[_ATTITUDE_TIME] = time
@@ -176,27 +188,31 @@ class AttitudeController:
     def on_tick(self, clock: float) -> list:
         """Watch for silence; `clock` is any steady time in s. Returns a stop when attitudes have ceased.
 
-        Call it every 5 ms: an attitude older than `imu_timeout` stops the motors.
+        Call it every 5 ms: an attitude older than `imu_timeout` stops the motors. Motors that still turn
+        after a kill or a disarming get their stop here, attitudes or not.
         """
-        if self._attitude is None or not self.arming.flying:
-            self._unchanged = None
+        if self._attitude is None:
             return []
         stamp = self._attitude.stamp
         if self._unchanged is None or self._unchanged[1] != stamp:
             self._unchanged = (clock, stamp)
+        age = self._silence = clock - self._unchanged[0]
+        now = stamp + round(age * 1e9)
+        if self.arming.flying:
+            if age <= self.params.imu_timeout:
+                return []
+            time = float(self.state[_ATTITUDE_TIME])
+            self._say('arming', self.arming.tick(self._checks(time + age, age)), now)
+        elif not self._turning:
             return []
-        age = clock - self._unchanged[0]
-        if age <= self.params.imu_timeout:
-            return []
-        time = float(self.state[_ATTITUDE_TIME])
-        self._say('arming', self.arming.tick(self._checks(time + age, age)), stamp + round(age * 1e9))
-        return self._rest(self._attitude._replace(stamp=stamp + round(age * 1e9)))
+        return self._rest(self._attitude._replace(stamp=now))
 
     # Pilot and tuning ---------------------------------------------------------------------------------
 
     def arm(self, on: bool) -> tuple[bool, str]:
         """Arm or disarm; returns whether the wish was met, and what happened."""
-        text = self.arming.request(on, self._checks(self._newest_time(), 0.0 if self._attitude else math.inf))
+        age = self._silence if self._attitude else math.inf
+        text = self.arming.request(on, self._checks(self._newest_time(), age))
         self._say('arming', text, self._newest_stamp())
         return self.arming.mode == (ARMED if on else DISARMED), text or NAMES[self.arming.mode]
 
@@ -259,6 +275,7 @@ class AttitudeController:
         p = self.params
         s = self.state
         q = np.array(sample.quaternion)
+        self._turning = True
         self.loop.blend(dt)
         self.altitude.predict(sample.quaternion, sample.force, dt)
         roll, pitch, yaw_rate, throttle = self._demand(time, dt)
@@ -278,7 +295,8 @@ class AttitudeController:
         demand = self.loop.demand
         mix(demand[0], demand[1], demand[2], throttle, p.idle_thrust, 1.0, self._thrust, self._achieved)
         self.loop.unwind(self._achieved)
-        self.altitude.learn_hover(self._achieved[3], sample.force[2], dt)
+        if self.arming.mode == ARMED:  # a descent without range flies on a share of what was learnt
+            self.altitude.learn_hover(self._achieved[3], sample.force[2], dt)
         rate_errors = tuple(t - r for t, r in zip(targets, sample.rate))
         lost = saturates(demand, self._achieved)
         self._fall_back(self.tuning.watch(p, time, dt, rate_errors, errors, lost))
@@ -300,6 +318,7 @@ class AttitudeController:
         self._fall_back(self.tuning.stop())
         p = self.params
         self.loop.rest()
+        self._turning = False
         self.state[_AIRBORNE] = 0.0
         stop = (p.pulse_min,) * 4
         zero = (0.0, 0.0, 0.0, 0.0)
@@ -318,7 +337,7 @@ class AttitudeController:
         p, sp, altitude = self.params, self._setpoint, self.altitude
         fresh = altitude.fresh(time)
         if self.arming.mode == DESCENT:
-            if fresh and altitude.on_ground(time):
+            if not self.state[_AIRBORNE] or (fresh and altitude.on_ground(time)):
                 self._say('arming', self.arming.landed(time), self._newest_stamp())
                 return 0.0, 0.0, 0.0, 0.0
             if fresh:
@@ -358,6 +377,7 @@ class AttitudeController:
             self._setpoint.throttle,
             self._setpoint.arm,
             None if math.isnan(voltage) else voltage,
+            self.altitude.sinking(time, 0.5 * self.params.descent_rate),
         )
 
     def _newest_time(self) -> float:

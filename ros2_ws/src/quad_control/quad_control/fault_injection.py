@@ -24,6 +24,7 @@ _STEP = 0.005
 _HEIGHT = 6.0
 # A descent is one when it ends on the ground within this time (s), slower than this (m/s), this level (rad).
 _LANDING_TIME, _LANDING_SPEED, _LEVEL = 35.0, 2.5, 0.35
+_DESCENT_TIME = 30.0
 # The second of two faults comes this much (s) after the first, in the descent.
 _LATER = 2.0
 
@@ -77,7 +78,8 @@ class _Flight:
         self.plant = QuadSimulator(craft, ImuErrorParams(), seed=seed, height=_HEIGHT, hovering=True)
         self.attitude = AttitudeFilter()
         self.attitude.start(self.plant.x[6:10].copy(), self.plant.imu.gyro_bias)
-        self.controller = AttitudeController(ControllerParams())
+        # Without a range the time alone ends a descent.
+        self.controller = AttitudeController(ControllerParams(descent_time=_DESCENT_TIME))
         self.hover = hover_fraction(craft)
         self.controller.start_flying((1.0, 0.0, 0.0, 0.0), self.hover)
         self.pulses: tuple = (1400.0,) * 4

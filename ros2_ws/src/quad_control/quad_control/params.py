@@ -244,7 +244,11 @@ class ArmingParams:
         0.95, 'thrust of a descent without range, per hover thrust', minimum=0.0, maximum=1.0
     )
     descent_time: float = parameter(
-        30.0, 'the motors stop after a descent of this length', unit='s', minimum=1.0, maximum=300.0
+        60.0,
+        'the motors stop when a descent has not been seen to sink for this long',
+        unit='s',
+        minimum=1.0,
+        maximum=1000.0,
     )
     max_arming_tilt: float = parameter(0.2, 'no arming beyond this tilt', unit='rad', minimum=0.01)
     max_arming_throttle: float = parameter(

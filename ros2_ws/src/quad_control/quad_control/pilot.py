@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from kalman_core.parameters import parameter
-from quad_control.arming import ARMED, NAMES, STOPPED
+from quad_control.arming import ARMED, DESCENT, NAMES, STOPPED
 from quad_control.samples import Setpoint
 
 # While the controller refuses, the arm switch stays on and off for these times (s) before it is tried again:
@@ -91,8 +91,8 @@ class Pilot:
             return Setpoint(stamp, p.roll, p.pitch, p.yaw_rate, p.throttle, p.arm, p.hold)
         if self._given_up:
             return Setpoint(stamp, 0.0, 0.0, 0.0, 0.0, False)
-        armed = self.state == NAMES[ARMED]
-        if not armed:
+        # A descent is a flight too: the switch stays on.
+        if self.state not in (NAMES[ARMED], NAMES[DESCENT]):
             self._up = False
             # Off and on again: a switch that stays on is not a wish to arm.
             if stamp - self._changed > (_ON if self._switch else _OFF) * 1e9:

@@ -57,6 +57,14 @@ def test_a_silent_range_finder_is_not_fresh():
     assert not a.fresh(10.6)
 
 
+def test_a_height_that_jumps_is_believed_the_fourth_time():
+    a = Altitude(np.zeros(SIZE))
+    a.correct(1.0, 10.0)
+    assert [a.correct(2.0, 10.05 + 0.05 * i, jump=0.5) for i in range(4)] == [False, False, False, True]
+    assert a.state[0] == 2.0
+    assert a.state[1] == 0.0
+
+
 def test_on_the_ground_means_low_and_at_rest_for_a_while():
     a = Altitude(np.zeros(SIZE))
     a.correct(0.05, 1.0)

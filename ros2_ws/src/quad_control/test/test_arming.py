@@ -87,10 +87,15 @@ def test_a_short_dip_of_the_voltage_is_forgiven():
     assert m.mode == ARMED
 
 
-def test_a_descent_ends_after_its_time():
+def test_a_descent_ends_when_it_has_not_been_seen_to_sink_for_its_time():
+    limit = ArmingParams().descent_time
     m = armed()
-    m.tick(GOOD._replace(setpoint_age=0.6))
-    m.tick(GOOD._replace(setpoint_age=40.0, time=41.0))
+    lost = GOOD._replace(setpoint_age=0.6)
+    m.tick(lost)
+    m.tick(lost._replace(time=10.0 + limit, sinking=True))
+    m.tick(lost._replace(time=9.0 + 2.0 * limit))
+    assert m.mode == DESCENT
+    m.tick(lost._replace(time=11.0 + 2.0 * limit))
     assert m.mode == STOPPED
 
 

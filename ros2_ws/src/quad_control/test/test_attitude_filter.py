@@ -275,3 +275,21 @@ def test_the_diagnostics_tell_a_known_bias_from_an_unknown_one():
     assert after['bias_sigma_rad_s'] < 0.1 * before['bias_sigma_rad_s']
     assert after['standing']
     assert not after['frozen']
+
+
+@pytest.mark.parametrize(('shake', 'learnt'), [(0.05, 0.02), (0.3, 0.0)])
+def test_a_slow_steady_turn_of_the_heading_is_a_bias_on_the_ground_alone(shake, learnt):
+    f = AttitudeFilter()
+    f.start((1.0, 0.0, 0.0, 0.0), bias_sigma=0.02)
+    rng = np.random.default_rng(1)
+    for s in still(900):
+        force = np.array([0.0, 0.0, GRAVITY]) + shake * rng.standard_normal(3)
+        f.on_imu(s._replace(rate=(s.rate[0], s.rate[1], s.rate[2] + 0.02), force=tuple(force)))
+    assert f.bias[2] == pytest.approx(learnt, abs=1e-3)
+
+
+def test_a_calibrated_accelerometer_offset_is_taken_from_the_published_force():
+    f = AttitudeFilter(AttitudeParams(accelerometer_offset=(0.1, -0.2, 0.3)))
+    sample = still(1)[0]
+    expected = np.array(sample.force) - (0.1, -0.2, 0.3)
+    assert prompt(f.on_imu(sample))[0].force == pytest.approx(tuple(expected))

@@ -7,6 +7,7 @@ from bag_tools.bag import zeroed
 from node_core.messages import set_floats
 from node_core.ports import BadMessage
 from quad_control import codec
+from quad_control.controller import AttitudeController
 from quad_control.craft import MOTORS
 from quad_control.samples import (
     ArmingState,
@@ -88,6 +89,27 @@ def test_a_raw_imu_has_no_orientation_and_is_refused_as_attitude(made):
     codec.encode_imu(ImuSample(STAMP, (0.0,) * 3, (0.0, 0.0, 9.8)), message)
     with pytest.raises(BadMessage, match='no orientation'):
         codec.decode_attitude(message)
+
+
+@pytest.mark.parametrize('decode', [codec.decode_imu, codec.decode_attitude])
+def test_an_imu_without_a_gyro_is_refused(made, decode):
+    message = made(codec.IMU)
+    codec.encode_attitude(ATTITUDE, message)
+    message.angular_velocity_covariance[0] = -1.0
+    with pytest.raises(BadMessage, match='no rates'):
+        decode(message)
+
+
+def test_rates_of_unknown_variance_are_read_but_do_not_arm(made):
+    message = made(codec.IMU)
+    level = ATTITUDE._replace(quaternion=(1.0, 0.0, 0.0, 0.0), rate_variance=(0.0,) * 3)
+    codec.encode_attitude(level, message)
+    controller = AttitudeController()
+    controller.on_setpoint(Setpoint(STAMP, 0.0, 0.0, 0.0, 0.0, False))
+    controller.on_attitude(codec.decode_attitude(message))
+    armed, why = controller.arm(True)
+    assert not armed
+    assert 'rate sigma inf' in why
 
 
 def spoilt(made, kind, encode, sample, spoil):

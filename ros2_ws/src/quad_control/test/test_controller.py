@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kalman_core.rotation import quat_from_euler
+from quad_control.arming import DESCENT, STOPPED
 from quad_control.attitude_filter import AttitudeFilter
 from quad_control.controller import PRESSURE, RANGE, SETPOINT, AttitudeController
 from quad_control.craft import CraftParams, benchmark_craft, benchmark_imu, hover_fraction, lever, max_thrust
@@ -237,6 +238,34 @@ def test_silence_stops_the_motors_within_50_ms_of_the_last_attitude(timeout):
     assert controller.on_tick(stopped + 0.005) == []
 
 
+def test_attitudes_that_have_ceased_refuse_arming_by_service():
+    controller = AttitudeController()
+    controller.on_setpoint(Setpoint(10**9, 0.0, 0.0, 0.0, 0.0, False))
+    controller.on_attitude(attitude(10**9))
+    for clock in (0.0, 10.0):
+        controller.on_tick(clock)
+    assert controller.arm(True) == (False, 'refused: attitude is stale')
+    controller.on_attitude(attitude(10**9 + STEP))
+    assert controller.arm(True) == (True, 'armed')
+
+
+def test_a_kill_in_a_silence_of_the_imu_stops_the_motors_once():
+    controller = ready()
+    controller.on_attitude(attitude(10**9 + STEP))
+    controller.on_tick(0.0)
+    controller.kill()
+    assert command(controller.on_tick(0.005)).pulses == IDLE
+    assert controller.on_tick(0.01) == []
+
+
+def test_a_setpoint_that_is_only_repeated_is_a_lost_link():
+    controller = ready()
+    for i in range(1, 150):
+        controller.on_attitude(attitude(10**9 + i * STEP))
+        controller.on_setpoint(Setpoint(1, 0.0, 0.0, 0.0, 0.2, True))
+    assert controller.arming.mode == DESCENT
+
+
 def test_a_stop_during_a_trial_takes_the_new_gains_back():
     controller = ready()
     controller.set_params(dataclasses.replace(controller.params, roll_rate_p=0.3))
@@ -303,6 +332,76 @@ def test_an_armed_craft_on_the_ground_idles_and_does_not_wind_up():
     assert not controller.loop.demand.any()
 
 
+def test_a_link_lost_on_the_ground_stops_the_motors_at_idle():
+    controller = AttitudeController()
+    controller.altitude.hover = 0.2  # learnt in an earlier flight
+    stamp, highest = 10**9, 0.0
+    for i in range(260):
+        stamp += STEP
+        if i < 60:
+            controller.on_setpoint(Setpoint(stamp, 0.0, 0.0, 0.0, 0.0, i > 5))
+        highest = max(highest, *command(controller.on_attitude(attitude(stamp))).pulses)
+    assert highest < 1100.0
+    assert controller.arming.mode == STOPPED
+
+
+def lost_link(height, seconds, ranged, **params):
+    """The link is lost after 4 s. Returns sinks (m/s) and hover thrusts since, and the controller."""
+    plant = QuadSimulator(CraftParams(), benchmark_imu(), seed=1, height=height, hovering=True)
+    f, controller = AttitudeFilter(), AttitudeController(ControllerParams(**params))
+    f.start(plant.x[6:10].copy(), plant.imu.gyro_bias)
+    controller.start_flying(tuple(plant.x[6:10]), 0.15)
+    sinks, hovers = [], []
+
+    def pilot(time):
+        if round(time / 0.005) % 40 == 0:
+            controller.on_battery(plant.battery())
+        if ranged and round(time / 0.005) % 10 == 0:
+            controller.on_range(plant.range())
+        if controller.arming.mode == DESCENT:
+            sinks.append(-float(plant.x[5]))
+            hovers.append(controller.altitude.hover)
+        if time >= 4.0:
+            return None
+        return Setpoint(plant.stamp, 0.0, 0.0, 0.0, 0.15 - 0.05 * plant.x[5], True)
+
+    fly(plant, f, controller, seconds, pilot)
+    return sinks, hovers, controller
+
+
+def test_a_descent_without_range_sinks_slowly_and_keeps_the_learnt_hover_thrust():
+    sinks, hovers, controller = lost_link(60.0, 25.0, ranged=False)
+    assert controller.arming.mode == DESCENT
+    assert max(sinks) < 1.5
+    assert min(sinks[-1000:]) > 0.1
+    assert set(hovers) == {hovers[0]}
+
+
+def test_a_descent_from_high_up_flies_until_it_has_landed():
+    sinks, _, controller = lost_link(6.0, 20.0, ranged=True, descent_time=3.0)
+    assert controller.arming.mode == STOPPED
+    assert max(sinks) < 1.5
+
+
+def test_one_wild_range_does_not_move_a_craft_that_holds_its_height():
+    plant = QuadSimulator(CraftParams(), benchmark_imu(), seed=1, height=1.0, hovering=True)
+    f, controller = AttitudeFilter(), AttitudeController()
+    f.start(plant.x[6:10].copy(), plant.imu.gyro_bias)
+    controller.start_flying(tuple(plant.x[6:10]), 0.15)
+    heights = []
+
+    def pilot(time):
+        i = round(time / 0.005)
+        if i % 10 == 0:
+            controller.on_range(plant.range()._replace(height=39.0) if i == 1600 else plant.range())
+        heights.append(plant.x[2])
+        return Setpoint(plant.stamp, 0.0, 0.0, 0.0, 0.15, True, True)
+
+    fly(plant, f, controller, 11.0, pilot)
+    assert np.abs(np.array(heights[1600:]) - heights[1600]).max() < 0.1
+    assert controller.tally.sensor(RANGE).rejected == {'wild jump': 1}
+
+
 # Inputs and the pilot's services ------------------------------------------------------------------------
 
 
@@ -311,7 +410,8 @@ def test_setpoints_that_are_no_numbers_or_older_than_the_last_are_rejected_by_na
     controller.on_setpoint(Setpoint(2 * 10**9, 0.1, 0.0, 0.0, 0.2, True))
     controller.on_setpoint(Setpoint(2 * 10**9 - 1, 0.2, 0.0, 0.0, 0.2, True))
     controller.on_setpoint(Setpoint(3 * 10**9, math.nan, 0.0, 0.0, 0.2, True))
-    assert controller.tally.sensor(SETPOINT).rejected == {'older than the last': 1, 'not finite': 1}
+    rejected = controller.tally.sensor(SETPOINT).rejected
+    assert rejected == {'duplicate or older than the last': 1, 'not finite': 1}
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from quad_control.arming import NAMES
 from quad_control.attitude_filter import AttitudeFilter
 from quad_control.controller import AttitudeController
 from quad_control.craft import CraftParams, ImuErrorParams
@@ -34,6 +35,13 @@ def test_the_mission_turns_the_switch_off_and_on_until_it_is_armed():
     assert all(pilot.step(round((60 + i) * 1e8)).arm for i in range(60))
 
 
+def test_in_a_failsafe_descent_the_mission_leaves_the_switch_on():
+    pilot = Pilot(PilotParams(mission='hover'))
+    pilot.state = 'armed'
+    pilot.state = 'failsafe descent'
+    assert all(pilot.step(round(i * 2e7)).arm for i in range(300))
+
+
 def test_after_a_stop_the_mission_arms_no_more_until_it_is_told_again():
     pilot = Pilot(PilotParams(mission='hover'))
     pilot.state = 'armed'
@@ -55,7 +63,7 @@ def test_the_mission_takes_off_and_stays_in_place_at_its_height_in_gusts():
             controller.on_range(sample)
         truth = plant.truth()
         pilot.position, pilot.velocity, pilot.yaw = truth.position, truth.velocity, plant.euler[2]
-        pilot.state = 'armed' if controller.arming.flying else 'disarmed'
+        pilot.state = NAMES[controller.arming.mode]
         return pilot.step(plant.stamp)
 
     fly(plant, AttitudeFilter(), controller, 40.0, sticks)

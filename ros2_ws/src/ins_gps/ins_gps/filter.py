@@ -32,6 +32,7 @@ from ins_gps.samples import (
     PositionSample,
     VelocitySample,
 )
+from ins_gps.solution import displaced
 from ins_gps.start import (
     PRIOR_VELOCITY,
     PRIOR_VELOCITY_MEASURED,
@@ -276,8 +277,26 @@ class NavigationFilter:
             P[start : start + 3, :] = 0.0
             P[:, start : start + 3] = 0.0
             P[start : start + 3, start : start + 3] = np.diag(sigmas**2)
+        self._leave_antenna()
         self.state[at.HAVE_IMU] = 0.0
         self.state[at.STAGE] = at.RUNNING
+
+    def _leave_antenna(self) -> None:
+        """Move a position that is the antenna's to the IMU, now that the attitude is known."""
+        P = self.covariance
+        lever = self.config[[ch.LEVER_X, ch.LEVER_Y, ch.LEVER_Z]]
+        if not lever.any():
+            return
+        x, y, z = lever_n = matrix_from_quat(self.nav[6:10]) @ lever
+        self.nav[:] = displaced(self.nav, np.r_[lever_n, np.zeros(6)])
+        # The antenna is where it was: what attitude errs by moves the IMU the other way.
+        turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        spread = turn @ P[at.ATT : at.ATT + 3, at.ATT : at.ATT + 3]
+        P[at.POS : at.POS + 3, at.POS : at.POS + 3] += spread @ turn.T
+        P[at.POS : at.POS + 3, at.ATT : at.ATT + 3] = -spread
+        P[at.ATT : at.ATT + 3, at.POS : at.POS + 3] = -spread.T
+        # The carrier of the last epoch was at the antenna's place: no difference may see the move.
+        self.state[at.CLONE_VALID] = 0.0
 
     def _tight(self, stamp: int, rows: np.ndarray) -> None:
         report = np.zeros((len(rows), ch.REPORT_WIDTH))
@@ -310,6 +329,7 @@ class NavigationFilter:
         if fix.velocity is not None:
             nav[3:6] = mat_ecef_from_ned(nav[0], nav[1]).T @ fix.velocity.position
         self.initialise(stamp, nav, sigmas, (fix.position.clock, self.state[at.CLOCK_DRIFT]))
+        self._leave_antenna()
 
     def _loose(self, stamp: int, rows: np.ndarray, since: float) -> None:
         s = self.state
@@ -335,7 +355,7 @@ class NavigationFilter:
         s = self.state
         mat_en = mat_ecef_from_ned(self.nav[0], self.nav[1])
         lever_n, site = np.empty(3), np.empty(3)
-        ch.antenna(s, self.config, matrix_from_quat(self.nav[6:10]), mat_en, lever_n, site)
+        ch.antenna(s, self._prediction, matrix_from_quat(self.nav[6:10]), mat_en, lever_n, site)
         nu = mat_en.T @ (ecef_from_geodetic(*geodetic) - site)
         H = np.zeros((3, len(self.covariance)))
         H[:, at.POS : at.POS + 3] = np.eye(3)
@@ -356,7 +376,7 @@ class NavigationFilter:
         s = self.state
         mat_nb = matrix_from_quat(self.nav[6:10])
         now = np.empty(3)
-        ch.antenna_velocity(s, self.config, mat_nb, np.eye(3), now)
+        ch.antenna_velocity(s, self._prediction, mat_nb, np.eye(3), now)
         H = np.zeros((3, len(self.covariance)))
         H[:, at.VEL : at.VEL + 3] = np.eye(3)
         self._vector(stamp, H, velocity - now, covariance, name)
@@ -379,6 +399,7 @@ class NavigationFilter:
         s = self.state
         if s[at.STAGE] == at.WAITING:
             self._start_from(sample.stamp, sample.geodetic, sample.covariance, None)
+            s[at.FIX_SEC] = sec + 1e-9 * nsec
             return self._fix_estimate(sample.stamp)
         if self.coasting:
             hold_still(s)
@@ -404,8 +425,8 @@ class NavigationFilter:
         if self.coasting:
             hold_still(s)
         hold_to(s, self.channels, self._prediction, sec, nsec)
+        # The next fix aligns: it knows the time over which the velocity has changed.
         self._use_velocity(sample.stamp, sample.velocity, sample.covariance, 'gnss/velocity')
-        self._align(0.0)
 
     def _gps_only(self, stamp: int, rows: np.ndarray, since: float) -> FixEstimate | None:
         s = self.state
@@ -465,6 +486,8 @@ class NavigationFilter:
             sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, attitude[1]]
             self.initialise(stamp, np.r_[geodetic, velocity, attitude[0]], sigmas, clock)
         self.covariance[at.POS : at.POS + 3, at.POS : at.POS + 3] = covariance
+        if attitude is not None:
+            self._leave_antenna()
 
     def estimate(self, stamp: int) -> NavigationEstimate:
         """Return what the filter knows now."""

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from ins_gps import layout as at
+from ins_gps.channels import LEVER_X, LEVER_Y, LEVER_Z
 from ins_gps.loose import EpochFix
 from ins_gps.params import FilterParams
 from ins_gps.prediction import BIASES, GAP, Q_ACCEL, Q_GYRO
@@ -31,12 +32,14 @@ def start_velocity(geodetic, fix: EpochFix | None) -> tuple[np.ndarray, float]:
 
 
 def coasting_config(config: np.ndarray) -> np.ndarray:
-    """Return the configuration for following GNSS alone: white acceleration instead of an IMU."""
+    """Return the configuration for following GNSS alone: white acceleration instead of an IMU, no lever."""
     out = config.copy()
     out[Q_ACCEL] = _COASTING_ACCELERATION**2
     out[GAP] = math.inf
     out[BIASES] = 0.0
     out[Q_GYRO] = 0.0
+    # Without an attitude the state is the antenna's.
+    out[[LEVER_X, LEVER_Y, LEVER_Z]] = 0.0
     return out
 
 

@@ -17,7 +17,7 @@ from ins_gps.filter import NavigationFilter
 from ins_gps.params import FilterParams
 from ins_gps.prediction import NAV_STATES, error_dynamics, inject
 from ins_gps.samples import GnssEpoch, ImuSample
-from ins_gps.simulation import DGPS, NOISELESS, Fault, Outage, Scenario
+from ins_gps.simulation import DGPS, MEMS, MOTIONS, NOISELESS, Fault, Outage, Scenario, _level
 from ins_gps.simulation_gnss import simulate
 from ins_gps.solution import error_of
 from ins_gps.strapdown import increments, mechanise
@@ -162,6 +162,34 @@ def test_it_starts_from_rest_and_aligns_by_the_course():
     error = error_of(history.nav[-1], run.truth[index])
     assert np.linalg.norm(error[:3]) < 5.0
     assert abs(error[8]) < math.radians(5.0)
+
+
+def _south(t):
+    one = np.ones_like(t)
+    return _level(math.pi * one, 0.0 * one, 0.3 * np.sin(0.2 * t), 0.3 * np.sin(0.15 * t))
+
+
+@pytest.mark.parametrize('mode', ['tight_tdcp', 'loose'])
+@pytest.mark.parametrize('lever', [(0.0, 0.0, 0.0), (1.0, 0.0, -1.0), (3.0, 0.5, -2.0)])
+def test_it_starts_by_the_course_with_the_antenna_beside_the_imu(mode, lever, monkeypatch):
+    monkeypatch.setitem(MOTIONS, 'south', (_south, (-10.0, 0.0, 0.0)))
+    scenario = Scenario(trajectory='south', duration=25.0, imu_rate=50.0, imu=MEMS, lever_arm=lever)
+    run = simulate(scenario, 2)
+    x, y, z = lever
+    navigation = NavigationFilter(FilterParams(lever_arm=(x, -y, -z), mode=mode))
+    imu = iter(run.imu_samples())
+    sample = next(imu)
+    for epoch in run.epochs:
+        while sample is not None and sample.stamp <= epoch.stamp:
+            navigation.imu(sample)
+            sample = next(imu, None)
+        navigation.gnss(epoch)
+        since = (epoch.stamp - run.stamps[0]) * 1e-9
+        if since > 5.0:
+            error = error_of(navigation.nav, run.truth[np.searchsorted(run.stamps, epoch.stamp)])
+            P = navigation.covariance[:9, :9]
+            assert error @ np.linalg.solve(P, error) < 9.0 * 4.0, since
+    assert navigation.tally.sensor('gnss/carrier').rejected.total() == 0
 
 
 @pytest.mark.parametrize('mode', ['tight_tdcp', 'loose'])

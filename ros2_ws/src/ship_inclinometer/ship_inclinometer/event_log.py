@@ -95,8 +95,15 @@ class EventLog:
     @contextlib.contextmanager
     def _among_processes(self) -> Iterator[None]:
         """Hold off other processes: none may append to a file that is being rotated away."""
-        with self.path.with_name(f'{self.path.name}.lock').open('w') as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            file = self.path.with_name(f'{self.path.name}.lock').open('w')
+        except OSError as error:
+            raise LogError(f'event log {self.path}: {error}') from error
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX)
+            except OSError as error:
+                raise LogError(f'event log {self.path}: {error}') from error
             yield
 
     def _follow_rotation(self) -> None:

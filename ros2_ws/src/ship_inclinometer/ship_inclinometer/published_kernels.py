@@ -27,6 +27,8 @@ GYRO_NOISE, BIAS_WALK, BIAS_SIGMA, FORCE_SIGMA, FIELD_SIGMA, INTERVAL, CUTOFF, D
     range(10)
 )
 SETTINGS = 10
+# A field older than this (s) says nothing of where north is now.
+_FIELD_AGE = 1.0
 
 
 @njit(cache=True, nogil=True)
@@ -56,7 +58,7 @@ def published_imu(state, c, t, gyro, force):
 @njit(cache=True, nogil=True)
 def published_mag(state, c, t, field):
     """Smooth one magnetic field (3,) [T]; it is used at the next update."""
-    if state[FIELD_SEEN] == 0.0:
+    if state[FIELD_SEEN] == 0.0 or t - state[FIELD_SEEN] > _FIELD_AGE:
         state[FIELD : FIELD + 3] = field
     else:
         state[FIELD : FIELD + 3] += _weight(c, t - state[FIELD_SEEN]) * (field - state[FIELD : FIELD + 3])
@@ -137,6 +139,8 @@ def _correct(state, cov, c):
         [horizontal * math.sin(c[DECLINATION]), horizontal * math.cos(c[DECLINATION]), -math.sin(c[DIP])]
     )
     for source in range(2):
+        if source == 1 and state[T] - state[FIELD_SEEN] > _FIELD_AGE:
+            continue
         vector = state[FORCE : FORCE + 3] if source == 0 else state[FIELD : FIELD + 3]
         norm = math.sqrt(np.sum(vector**2))
         if norm == 0.0:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import multiprocessing
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -117,3 +118,11 @@ def test_a_log_that_was_removed_is_begun_anew_and_one_that_broke_says_so(tmp_pat
     log._connection.execute('DROP TABLE event')
     with pytest.raises(LogError, match=r'e\.db: no such table'):
         log.append(3, 'mark', 'a', 'd')
+
+
+def test_a_folder_that_is_gone_is_one_error_of_the_log(tmp_path):
+    log = EventLog(tmp_path / 'logs' / 'e.db')
+    log.append(1, 'mark', 'a', 'b')
+    shutil.rmtree(tmp_path / 'logs')
+    with pytest.raises(LogError, match=r'e\.db'):
+        log.append(2, 'mark', 'a', 'c')

@@ -136,3 +136,22 @@ def test_speeds_are_refused_by_name():
     estimator.on_log(SpeedSample(stamp, 1.0))
     for name in ('gnss/velocity', 'log/speed'):
         assert estimator.tally.sensor(name).rejected == {'not used by the published schedule': 1}
+
+
+def test_a_field_that_has_ceased_steers_nothing_any_more():
+    estimator = published()
+    samples = [s for s in moored(60.0) if isinstance(s, ImuSample) or s.stamp < START + 20 * 10**9]
+    # Alongside, but turned by hand after the magnetometer has died: 0.1 rad/s about the vertical for 20 s.
+    up = np.array(matrix_from_quat(quat_from_euler(0.1, -0.05, 0.7))[2])
+    turned = [
+        s._replace(gyro=tuple(0.1 * up))
+        if isinstance(s, ImuSample) and 30 < (s.stamp - START) / 1e9 <= 50
+        else s
+        for s in samples
+    ]
+    out = attitudes(run(estimator, turned))
+    before = next(a for a in out if a.stamp >= START + 20 * 10**9)
+    _, _, yaw = euler_from_quat(out[-1].q)
+    assert math.remainder(yaw - 2.7, 2.0 * math.pi) == pytest.approx(0.0, abs=0.2)
+    assert out[-1].covariance[2, 2] > before.covariance[2, 2]
+    assert out[-1].rate == pytest.approx((0.0, 0.0, 0.0), abs=5e-3)

@@ -41,7 +41,8 @@ class AlarmNode(WorkspaceNode):
         super().__init__('alarm_monitor', AlarmParams)
         params: AlarmParams = self.parameters[AlarmParams]
         self._log = open_log(params.event_log)
-        self._monitor = AlarmMonitor(self._thresholds(), params.latching)
+        self._configured = self._thresholds()
+        self._monitor = AlarmMonitor(dict(self._configured), params.latching)
         self.parameters.on_change(self._parameters_changed)
         self._picture = Picture()
         self._began = self.get_clock().now().nanoseconds
@@ -76,7 +77,10 @@ class AlarmNode(WorkspaceNode):
 
     def _parameters_changed(self) -> None:
         stamp = self.get_clock().now().nanoseconds
-        self._change(stamp, self._thresholds(), 'parameter')
+        # What was set over Modbus stays, unless this very parameter is changed.
+        before, self._configured = self._configured, self._thresholds()
+        changed = {n: v for n, v in self._configured.items() if v != before[n]}
+        self._change(stamp, changed, 'parameter')
         self._monitor.latching = self.parameters[AlarmParams].latching
 
     def _change(self, stamp: int, settings: dict[str, float], who: str) -> None:

@@ -48,7 +48,12 @@ class ModbusNode(BridgeNode):
         self._servers = self._start()
         self.create_timer(1.0 / self._params.update_rate, self._update, clock=self.steady_clock)
         self.record('start', 'modbus_bridge', 'started')
-        self.changed(self.device.settings)
+        # Defaults are nobody's wish: they must not take the place of what a node's own parameters say.
+        self._known = dict(self.device.settings)
+        self._given: dict[str, float] = {}
+        self._picture.take_settings(self.device.settings)
+        if settings:
+            self._give(settings)
 
     def _start(self) -> list[Any]:
         p = self._params
@@ -98,9 +103,14 @@ class ModbusNode(BridgeNode):
         self._command.publish(self._command_message)
 
     def changed(self, settings: dict[str, float]) -> None:
-        """Use settings here, and publish them for the nodes that use them."""
+        """Use settings here, and publish those that were ever set for the nodes that use them."""
         self._picture.take_settings(settings)
-        encode_numbers(self._settings_message, time.time_ns(), settings)
+        self._give({name: value for name, value in settings.items() if self._known[name] != value})
+        self._known = settings
+
+    def _give(self, settings: dict[str, float]) -> None:
+        self._given |= settings
+        encode_numbers(self._settings_message, time.time_ns(), self._given)
         self._settings.publish(self._settings_message)
 
     def save(self, settings: dict[str, float], crc: int) -> None:

@@ -295,8 +295,8 @@ class BagWriter:
 
     `path` is a rosbag2 folder, or a single file when it ends in .mcap or .db3. `compression` 'zstd'
     compresses chunks (mcap) or messages (sqlite3). As a context manager it removes what it wrote when the
-    body raises. Raises BagError when `path` exists and `overwrite` is not set, and when the disk takes no
-    more; with `salvage` what it took before stays under the temporary name.
+    body raises; with `salvage` what it took before stays under the temporary name. Raises BagError when `path`
+    exists and `overwrite` is not set, and when the disk takes no more.
     """
 
     def __init__(
@@ -395,8 +395,21 @@ class BagWriter:
 
     def _full(self, error: OSError | sqlite3.Error) -> BagError:
         self._failed = True
-        kept = f'; what was written before is in {self._folder}' if self._salvage else ''
+        kept = f'; {self._kept()}' if self._salvage else ''
         return BagError(f'{self.path}: {_words(error)}{kept}')
+
+    def _kept(self) -> str:
+        return f'what was written before is in {self._folder}'
+
+    def _rescue(self, error: BaseException) -> None:
+        """Finish what was written under the temporary name, and say so in `error`."""
+        try:
+            self._writer.close()
+        except (OSError, sqlite3.Error) as full:
+            raise self._full(full) from error
+        if isinstance(error, BagError):
+            raise BagError(f'{error}; {self._kept()}') from error
+        error.add_note(self._kept())
 
     def close(self) -> None:
         """Finish the file and give it its name."""
@@ -428,8 +441,10 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_exc: object) -> None:
-        if kind is None:
+    def __exit__(self, kind: object, error: BaseException | None, _trace: object) -> None:
+        if error is None:
             self.close()
+        elif self._salvage and not self._failed and any(self.counts.values()):
+            self._rescue(error)
         else:
             self.abort()

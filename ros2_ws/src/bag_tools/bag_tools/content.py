@@ -21,7 +21,9 @@ from bag_tools.bag import BagReader
 
 _FLOAT64 = 8  # sensor_msgs/PointField.FLOAT64
 # What depends on the machine and the moment, not on the data.
-VOLATILE_TOPICS = frozenset({'/diagnostics', '/clock', '/rosout', '/parameter_events', '/lockstep/progress'})
+VOLATILE_TOPICS = frozenset(
+    {'/diagnostics', '/clock', '/rosout', '/parameter_events', '/lockstep/progress', '/lockstep/links'}
+)
 
 
 def canonical(reader: BagReader, data: bytes, type_name: str) -> bytes:

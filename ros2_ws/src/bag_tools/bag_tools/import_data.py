@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import struct
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -47,6 +48,8 @@ class _Column:
 def _setter(message: Any, parent: str, leaf: str | int) -> Callable[[float], None]:
     holder = walk(message, parent) if parent else message
     if isinstance(leaf, int):
+        if isinstance(holder, np.ndarray) and holder.dtype.kind in 'iu':
+            return lambda value: holder.__setitem__(leaf, _whole(value, int, f'[{leaf}]'))
         return lambda value: holder.__setitem__(leaf, value)
     kind = type(getattr(holder, leaf))
     if kind in (int, bool):
@@ -57,7 +60,7 @@ def _setter(message: Any, parent: str, leaf: str | int) -> Callable[[float], Non
 def _whole(value: float, kind: type, leaf: str) -> int | bool:
     if not math.isfinite(value):
         raise BagError(f"'{leaf}' is {value:g}, and its field holds whole numbers only; expected nan: skip")
-    return kind(value)
+    return round(value) if kind is int else bool(value)
 
 
 def _grow(message: Any, rule: FieldRule, count: int) -> None:
@@ -156,7 +159,12 @@ def import_tables(mapping: Mapping, source: Path, writer: BagWriter) -> None:
         for done, k in enumerate(order):
             column = columns[owners[k]]
             topic = column.rule.topic if column.rule.topic.startswith('/') else f'/{column.rule.topic}'
-            writer.write(topic, int(stamps[k]), column.fill(int(rows[k])))
+            try:
+                writer.write(topic, int(stamps[k]), column.fill(int(rows[k])))
+            except (struct.error, OverflowError) as error:
+                raise BagError(
+                    f"{source}: '{topic}' at {stamps[k] * 1e-9:.3f} s: {error}; a number does not fit its field"
+                ) from None
             if not done % _PROGRESS_STRIDE:
                 progress.update(done)
 

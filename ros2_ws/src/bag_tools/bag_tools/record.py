@@ -89,11 +89,14 @@ def options_from(argv: list[str]) -> RecordOptions:
     )
 
 
-def header_stamp(data: bytes) -> int:
-    """Return the header stamp (ns) of a CDR message whose first field is a std_msgs/Header."""
+def header_stamp(data: bytes, received: int) -> int:
+    """Return the header stamp (ns) of a CDR message whose first field is a std_msgs/Header.
+
+    A negative one, which no bag can hold, gives way to `received`.
+    """
     order = '<' if data[1] & 1 else '>'  # second byte of the encapsulation: 1 is little endian
     seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
-    return seconds * NANOSECONDS + nanoseconds
+    return seconds * NANOSECONDS + nanoseconds if seconds >= 0 else received
 
 
 def has_header(type_name: str, store: Typestore) -> bool:

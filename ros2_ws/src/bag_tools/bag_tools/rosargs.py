@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,8 @@ _NODE_ONLY = ('use_sim_time', 'lockstep', 'queue_depth', 'start_type_description
 class RosArguments:
     """What followed ``--ros-args``: parameter overrides, parameter files and remaps, in order.
 
-    `node` is the name from ``-r __node:=name``: it chooses the sections of parameter files.
+    The name of a parameter may begin with that of its node (``node:name``). `node` is the
+    name from ``-r __node:=name``: it chooses the sections of parameter files.
     """
 
     parameters: list[tuple[str, Any]] = field(default_factory=list)
@@ -94,7 +96,7 @@ def parse(arguments: list[str]) -> RosArguments:
         if flag in ('-p', '--param'):
             name, text = assignment(value, 'parameter')
             try:
-                result.parameters.append((name.split(':')[-1], load_yaml(text)))
+                result.parameters.append((name, load_yaml(text)))
             except yaml.YAMLError:
                 raise BagError(f"parameter '{name}' has the value '{text}'; expected YAML") from None
         elif flag == '--params-file':
@@ -110,8 +112,26 @@ def parse(arguments: list[str]) -> RosArguments:
     return result
 
 
+def _sections(tree: dict[Any, Any], above: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield (full name, parameters) of each section; namespaces may be nested. LookupError: none is there."""
+    for key, body in tree.items():
+        name = f'{above}/{str(key).lstrip("/")}'
+        if not isinstance(body, dict):
+            raise LookupError(name)
+        if key == 'ros__parameters':
+            yield above, body
+        else:
+            yield from _sections(body, name)
+
+
+def _is_for(section: str, node: str) -> bool:
+    """Whether rcl gives `section` to `node`: ``*`` stands for one part of a name, ``**`` for any number."""
+    pattern = re.escape(section).replace(r'/\*\*', r'(/\w+)*').replace(r'/\*', r'/\w+')
+    return re.fullmatch(pattern, f'/{node.lstrip("/")}') is not None
+
+
 def file_parameters(path: Path, node: str) -> dict[str, Any]:
-    """Return the parameters that `path` holds for `node` (``/**``, ``/name`` or ``name`` sections)."""
+    """Return the parameters that `path` holds for `node` (sections such as ``/**``, ``/name``, ``/**/name``)."""
     try:
         document = load_yaml(path.read_text())
     except OSError as error:
@@ -121,12 +141,12 @@ def file_parameters(path: Path, node: str) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise BagError(f'{path}: is empty; expected node_name: ros__parameters: ...')
     values: dict[str, Any] = {}
-    for section, body in document.items():
-        if str(section).lstrip('/') not in ('**', '*', node):
-            continue
-        if not isinstance(body, dict) or not isinstance(body.get('ros__parameters'), dict):
-            raise BagError(f"{path}: section '{section}' lacks 'ros__parameters:'")
-        values.update(body['ros__parameters'])
+    try:
+        for section, body in _sections(document):
+            if _is_for(section, node):
+                values.update(body)
+    except LookupError as error:
+        raise BagError(f"{path}: section '{error.args[0]}' lacks 'ros__parameters:'") from None
     return values
 
 
@@ -135,7 +155,11 @@ def estimator_parameters(arguments: RosArguments, node: str) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for path in arguments.files:
         values.update(file_parameters(path, node))
-    values.update(arguments.parameters)
+    for name, value in arguments.parameters:
+        owner, _, own = name.rpartition(':')
+        if owner not in ('', node):
+            raise BagError(f"parameter '{name}' is for node '{owner}', but '{node}' is run")
+        values[own] = value
     return {name: value for name, value in values.items() if name not in _NODE_ONLY}
 
 

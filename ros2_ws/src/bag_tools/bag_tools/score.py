@@ -123,8 +123,8 @@ def _statistics(name: str, unit: str, errors: Array) -> Statistics:
     )
 
 
-def _delay(estimate: Series, truth: Series) -> float | None:
-    """Estimate the lag on an even grid over the longest stretch that both cover."""
+def _delay(estimate: Series, truth: Series, window: Window) -> float | None:
+    """Estimate the lag on an even grid over the longest stretch of `window` that both cover."""
     start = max(estimate.stamps[0], truth.stamps[0])
     stop = min(estimate.stamps[-1], truth.stamps[-1])
     if len(estimate.stamps) < 8 or len(truth.stamps) < 8 or stop <= start:
@@ -134,7 +134,7 @@ def _delay(estimate: Series, truth: Series) -> float | None:
     grid = np.arange(start, stop, step).astype(np.int64)
     a, known_a = at(estimate, grid)
     b, known_b = at(truth, grid)
-    known = known_a & known_b
+    known = known_a & known_b & window.mask(grid, int(truth.stamps[0]))
     edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
     if not len(edges):
         return None
@@ -185,7 +185,8 @@ def evaluate(
         raise BagError(f'{estimate.role} is a {estimate.kind}, the truth {truth.role} a {truth.kind}')
     reference, known = at(truth, estimate.stamps)
     first = int(truth.stamps[0])
-    keep = known & (window or Window()).mask(estimate.stamps, first)
+    window = window or Window()
+    keep = known & window.mask(estimate.stamps, first)
     if not keep.any():
         raise BagError(f'{estimate.role}: no sample of the estimate lies where truth is known')
     parts = (
@@ -207,7 +208,7 @@ def evaluate(
         components=components,
         nees=mean_nees,
         dof=dof,
-        delay=_delay(estimate, truth),
+        delay=_delay(estimate, truth, window),
     )
     times = (stamps - first).astype(np.float64) * 1e-9
     return Comparison(score, times, shown[0], shown[1], shown_errors, labels, unit, sigmas, error_labels)

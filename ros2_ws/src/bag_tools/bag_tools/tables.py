@@ -122,9 +122,12 @@ def csv_format(options: Mapping[str, Any], where: str) -> CsvFormat:
     try:
         style = CsvFormat(**options)
     except TypeError:
-        known = ', '.join(CsvFormat.__dataclass_fields__)
-        raise BagError(f'{where}: csv: {dict(options)} is malformed; expected {known}') from None
-    if style.delimiter != 'whitespace' and len(style.delimiter) != 1:
+        names = ', '.join(CsvFormat.__dataclass_fields__)
+        raise BagError(f'{where}: csv: {options} is malformed; expected {names}') from None
+    known = style.delimiter == 'whitespace' or (
+        isinstance(style.delimiter, str) and len(style.delimiter) == 1
+    )
+    if not known:
         expected = 'one character ("\\t" for a tab, in double quotes) or whitespace'
         raise BagError(f"{where}: csv: delimiter is '{style.delimiter}', expected {expected}")
     return style

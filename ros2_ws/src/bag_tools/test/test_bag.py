@@ -135,6 +135,26 @@ def test_a_full_disk_is_named_and_what_it_took_can_be_salvaged(tmp_path, name, s
         assert left[0].stat().st_size > 1_000_000
 
 
+@pytest.mark.parametrize('error', [BagError('no'), ZeroDivisionError('no')])
+@pytest.mark.parametrize('count', [0, 3])
+def test_an_error_leaves_a_recording_finished_under_its_temporary_name(tmp_path, error, count):
+    with (  # noqa: PT012
+        pytest.raises(type(error), match='no') as caught,
+        BagWriter(tmp_path / 'bag', salvage=True) as bag,
+    ):
+        bag.add('imu', IMU)
+        for k in range(count):
+            bag.write('/imu', k, imu(k, (1, 2, 3)))
+        raise error
+    assert not (tmp_path / 'bag').exists()
+    found = [*tmp_path.glob('.bag.*.partial/bag')]
+    assert len(found) == bool(count)
+    if found:
+        with BagReader(found[0]) as reader:
+            assert reader.count == 3
+        assert str(found[0].parent) in f'{caught.value}{getattr(caught.value, "__notes__", "")}'
+
+
 def test_a_failed_write_keeps_the_bag_it_would_have_replaced(tmp_path):
     before = content_hash(write_sensors(tmp_path / 'bag'))
     with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / 'bag', overwrite=True):

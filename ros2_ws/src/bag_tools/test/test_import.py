@@ -145,6 +145,7 @@ def test_several_files_of_a_folder_are_merged_by_time(tmp_path):
         ('topics:', 'topics: []\nx:', 'unknown key'),
         ('csv: {comment', 'csv: {coment', 'is malformed; expected delimiter'),
         ('csv: {comment', "csv: {delimiter: '\\t', comment", 'expected one character'),
+        ('csv: {comment', 'csv: {delimiter: 5, comment', 'expected one character'),
         ('sensor_msgs/msg/Imu', 'geometry_msgs/msg/Twist', 'has no header for a frame_id'),
     ],
 )
@@ -192,6 +193,40 @@ def test_a_table_of_a_spreadsheet_may_have_a_byte_order_mark_and_empty_cells(tmp
     import_data(str(tmp_path / 'm.yaml'), tmp_path / 'a.csv', tmp_path / 'bag')
     with BagReader(tmp_path / 'bag') as reader:
         assert [s // 10**9 for _, s, _ in reader.messages()] == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ('type_name', 'field', 'words'),
+    [
+        ('std_msgs/msg/UInt8', 'data', "'/n' at 3.000 s: ubyte format requires 0 <= number <= 255"),
+        ('std_msgs/msg/Float32', 'data', "'/n' at 6.000 s: float too large"),
+        (
+            'std_msgs/msg/UInt8MultiArray',
+            'data',
+            "'/n' at 3.000 s: Python integer 256 out of bounds for uint8",
+        ),
+        ('std_msgs/msg/Int64', 'data', "'data' is nan, and its field holds whole numbers only"),
+    ],
+)
+def test_numbers_that_their_field_cannot_hold_are_one_clear_line(tmp_path, capsys, type_name, field, words):
+    (tmp_path / 'm.yaml').write_text(
+        f'topics:\n  - topic: n\n    type: {type_name}\n    stamp: {{column: t}}\n    nan: keep\n'
+        f'    fields: {{{field}: {{columns: [x], scale: 100}}}}\n'
+    )
+    (tmp_path / 'a.csv').write_text('t,x\n1,0.29\n2,1\n3,2.56\n5,\n6,1e40\n')
+    assert tool.main([str(tmp_path / 'm.yaml'), str(tmp_path / 'a.csv'), str(tmp_path / 'bag')]) == 2
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    assert words in err
+
+
+def test_whole_numbers_are_rounded(tmp_path):
+    (tmp_path / 'm.yaml').write_text(
+        'topics: [{topic: n, type: std_msgs/msg/UInt8, stamp: {rate: 1}, fields: {data: {column: x, scale: 100}}}]'
+    )
+    (tmp_path / 'a.csv').write_text('x\n0.29\n')
+    import_data(str(tmp_path / 'm.yaml'), tmp_path / 'a.csv', tmp_path / 'bag')
+    assert messages(tmp_path / 'bag', '/n')[0][1].data == 29
 
 
 def test_a_broken_npz_is_refused(tmp_path, capsys):

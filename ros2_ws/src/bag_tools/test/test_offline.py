@@ -13,7 +13,7 @@ from bag_tools.bag import BagError, BagReader, BagWriter
 from bag_tools.content import content_hash
 from bag_tools.offline import offline
 from bag_tools.registry import find_importer, find_ports
-from bag_tools.rosargs import estimator_parameters, parse, remapped, split
+from bag_tools.rosargs import estimator_parameters, file_parameters, parse, remapped, split
 from kalman_core.parameters import ParameterError
 
 
@@ -146,12 +146,17 @@ def test_command_line_takes_ros_arguments(tmp_path, package, capsys):
     [
         (['-p', 'leak:=-1'], "'leak' is -1, allowed: 0 … 1"),
         (['-p', 'leak:=fast'], "'leak' is 'fast', expected float"),
+        (['-p', 'mux:leak:=0.5'], "'mux:leak' is for node 'mux', but 'mix' is run"),
         (['-p', 'leek:=1'], "unknown parameter 'leek'; known: leak"),
         (['-p', 'leak=1'], "parameter 'leak=1' is malformed; expected name:=value"),
         (['-x', '1'], "'-x' is not supported"),
         (['-p'], "'-p' lacks its value"),
         (['-r', '__ns:=/boat'], "'__ns:=/boat' is not supported offline"),
         (['--params-file', 'absent.yaml'], 'absent.yaml: cannot be read'),
+        (
+            ['-r', 'imu:=imu/data_raw'],
+            "remap of 'imu': mix has no such topic; it has: /imu/data_raw, /imu/mag",
+        ),
     ],
 )
 def test_bad_arguments_are_one_line_and_exit_code_2(tmp_path, package, capsys, arguments, words):
@@ -193,6 +198,33 @@ def test_a_renamed_node_reads_its_own_section(tmp_path):
     arguments = parse(['-r', '__node:=port', '--params-file', str(path)])
     assert estimator_parameters(arguments, arguments.node) == {'leak': 0.9}
     assert arguments.remaps == {}
+
+
+@pytest.mark.parametrize(
+    ('section', 'read'),
+    [('/**', 1), ('*', 1), ('/mix', 1), ('/**/mix', 1), ('/mix/**', 1),
+     ('/*/mix', 0), ('/boat/mix', 0), ('/mixer', 0)],
+)  # fmt: skip
+def test_sections_of_parameter_files_are_matched_as_rcl_does(tmp_path, section, read):
+    path = tmp_path / 'p.yaml'
+    path.write_text(
+        f"'{section}': {{ros__parameters: {{leak: 0.9}}}}\nboat: {{mix: {{ros__parameters: {{leak: 2}}}}}}\n"
+    )
+    assert len(file_parameters(path, 'mix')) == read
+    path.write_text(f"'{section}': {{leak: 0.9}}\n")
+    with pytest.raises(BagError, match=r"lacks 'ros__parameters:'"):
+        file_parameters(path, 'mix')
+
+
+def test_the_summary_names_inputs_that_the_bag_does_not_have(tmp_path, package, capsys):
+    with BagWriter(tmp_path / 'in') as bag:
+        bag.add('imu/data_raw', IMU)
+        for k in range(3):
+            bag.write('/imu/data_raw', (1 + k) * SECOND, imu((1 + k) * SECOND, (0.0, 0.0, 0.0)))
+    assert tool.main([package, 'mix', str(tmp_path / 'in'), str(tmp_path / 'out')]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ['3 in   /imu/data_raw', '0 in   /imu/mag (not in the bag)']
+    assert 'mean NIS of imu/data_raw: 3' in lines
 
 
 def test_remaps_apply_to_relative_private_and_absolute_names():

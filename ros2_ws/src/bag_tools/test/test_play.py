@@ -98,7 +98,9 @@ def test_header_stamps_are_read_from_the_bytes_in_either_byte_order():
     message = imu(7 * SECOND + 42, (1.0, 2.0, 3.0))
     for little in (True, False):
         data = bytes(jazzy().serialize_cdr(message, IMU, little_endian=little))
-        assert record.header_stamp(data) == 7 * SECOND + 42
+        assert record.header_stamp(data, 5) == 7 * SECOND + 42
+    message.header.stamp.sec = -1
+    assert record.header_stamp(bytes(jazzy().serialize_cdr(message, IMU)), 5) == 5
 
 
 def test_only_types_with_a_header_have_a_header_stamp():

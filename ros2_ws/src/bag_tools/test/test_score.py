@@ -176,6 +176,17 @@ def test_delay_of_an_orientation_at_another_rate():
     assert result.score.delay == pytest.approx(0.04, abs=0.002)
 
 
+def test_delay_counts_only_what_the_window_lets_through():
+    stamps = stamps_at(100, 4000)
+    t = (stamps - SECOND) * 1e-9
+
+    def attitude(lag):
+        return orientation(stamps, Rotation.from_euler('x', 0.3 * np.sin(t - lag)[:, None]))
+
+    result = evaluate(attitude(np.where(t < 20.0, 0.3, 0.04)), attitude(0.0), Window(after=20.0))
+    assert result.score.delay == pytest.approx(0.04, abs=0.002)
+
+
 def test_delay_of_what_stands_still_is_unknown():
     assert delay(np.ones((100, 1)), np.ones((100, 1)), 0.01) is None
 

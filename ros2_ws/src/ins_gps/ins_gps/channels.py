@@ -13,11 +13,16 @@ from ins_gps.constants import (
     FREQUENCY_L5,
     SPEED_OF_LIGHT,
 )
+from ins_gps.faults import close_hypothesis
 from ins_gps.layout import (
+    C_AGREED,
+    C_BARRED,
+    C_CORRECTED,
     C_KEY,
     C_MULTIPATH,
     C_NSEC,
     C_SEC,
+    C_SLOW,
     CHANNEL,
     CHANNEL_WIDTH,
     CORRECTION_WIDTH,
@@ -109,6 +114,17 @@ def signal_key(row):
 
 
 @njit(cache=True, nogil=True)
+def _renew_slow(state, channels, config, channel, corrected):
+    """Start the slow error of a code anew: with a DGPS correction it is another than without."""
+    at = HEAD + channel * CHANNEL_WIDTH
+    state[at + C_CORRECTED] = 1.0 if corrected else 0.0
+    state[at + C_SLOW] = state[at + C_BARRED] = state[at + C_AGREED] = 0.0
+    close_hypothesis(state, channels, channel)
+    slow = config[CODE_SLOW] if corrected else config[CODE_SLOW_ALONE]
+    clear_error(state, channels, CHANNEL + PER_CHANNEL * channel, config[CLONES] * slow * slow)
+
+
+@njit(cache=True, nogil=True)
 def channel_of(state, channels, config, key, corrected):
     """Return the channel of satellite `key`, freeing the one unseen longest if all are taken."""
     free, oldest = -1, -1
@@ -118,6 +134,8 @@ def channel_of(state, channels, config, key, corrected):
         if state[at + C_KEY] == key:
             age = state[SEC] - state[at + C_SEC]
             if age < _FORGET:
+                if corrected != (state[at + C_CORRECTED] > 0.0):
+                    _renew_slow(state, channels, config, i, corrected)
                 return i
             free = i
             break
@@ -137,10 +155,9 @@ def channel_of(state, channels, config, key, corrected):
     for k in range(CHANNEL_WIDTH):
         state[at + k] = 0.0
     state[at + C_KEY] = key
+    _renew_slow(state, channels, config, free, corrected)
     first = CHANNEL + PER_CHANNEL * free
     on = config[CLONES]
-    slow = config[CODE_SLOW] if corrected else config[CODE_SLOW_ALONE]
-    clear_error(state, channels, first, on * slow * slow)
     clear_error(state, channels, first + 1, on * config[CODE_MULTIPATH] * config[CODE_MULTIPATH])
     clear_error(state, channels, first + 2, on * config[CARRIER_NOISE] * config[CARRIER_NOISE])
     return free

@@ -28,6 +28,7 @@ NANOSECONDS = 1_000_000_000
 _SMOOTHING_GAP = 5.0  # s without an epoch after which carrier smoothing begins anew
 _SLOTS = 80
 _WARN, _ERROR = b'\x01', b'\x02'  # DiagnosticStatus
+_OLDER = 10  # epochs in order among themselves, but not newer than the last: time has gone back
 _MOVED = 0.01  # m, ten times what 1005 and NavSatFix resolve
 
 
@@ -49,15 +50,16 @@ class DgpsBase:
                 "antenna; or set 'position_source' to 'topic' to take it from base/position"
             )
         # Everything that changes: per satellite phase (m), smoothed code (m), count, last correction; then
-        # stamp (s, ns), mean offset of the own fix (3) and its count; position (ECEF, m), 0 if not known.
-        self.state = np.zeros(4 * _SLOTS + 9)
+        # stamp (s), stamp (s) of the last epoch that was not newer, mean offset of the own fix (3) and its
+        # count; position (ECEF, m), 0 if not known; count of epochs that were not newer.
+        self.state = np.zeros(4 * _SLOTS + 10)
         self.wrong_position: float | None = None
         self._take_parameter()
 
     @property
     def position(self) -> np.ndarray:
         """Position of the antenna (3,), ECEF m; zeros while it is not known."""
-        return self.state[4 * _SLOTS + 6 :]
+        return self.state[4 * _SLOTS + 6 : 4 * _SLOTS + 9]
 
     def _take_parameter(self) -> None:
         if self.params.position_source == 'parameter':
@@ -87,10 +89,12 @@ class DgpsBase:
         good &= ((rows[:, 0] == 0.0) | (rows[:, 0] == 1.0)) & (rows[:, 1] >= 1.0) & (rows[:, 1] < 40.0)
         rows = rows[good]
         table, tail = self.state[: 4 * _SLOTS].reshape(_SLOTS, 4), self.state[4 * _SLOTS :]
-        dt = epoch.stamp / NANOSECONDS - tail[0] if tail[0] else math.inf
-        if dt <= 0.0:
+        now = epoch.stamp / NANOSECONDS
+        if tail[0] and now <= tail[0] and not self._went_back(now, table, tail):
             self.tally.reject('base/observations', 'not newer than the last epoch')
             return None
+        dt = now - tail[0] if tail[0] else math.inf
+        tail[9] = 0.0
         if not self.position.any():
             self.tally.reject('base/observations', 'base position not known yet')
             return None
@@ -100,7 +104,7 @@ class DgpsBase:
             self.tally.reject(
                 'base/observations', 'wrong base position' if len(rows) >= 4 else 'fewer than 4 satellites'
             )
-            tail[0] = epoch.stamp / NANOSECONDS
+            tail[0] = now
             return None
         ranges = self._smooth(rows, residuals, table, dt)
         out = np.empty((len(rows), 5))
@@ -114,9 +118,20 @@ class DgpsBase:
         out[:, 3] = np.where(np.abs(rates) > self.params.rate_threshold, -rates, 0.0)
         out[:, 4] = 0.0
         table[slots, 3] = out[:, 2]
-        tail[0] = epoch.stamp / NANOSECONDS
+        tail[0] = now
         self.tally.accept('base/observations', epoch.stamp)
         return Corrections(epoch.stamp, out)
+
+    def _went_back(self, now: float, table: np.ndarray, tail: np.ndarray) -> bool:
+        """Whether so many epochs were older than the last that it was the last that was wrong: start anew."""
+        tail[9] = tail[9] + 1.0 if now > tail[1] else 1.0
+        tail[1] = now
+        if tail[9] < _OLDER:
+            return False
+        table[:] = 0.0
+        tail[0] = 0.0
+        self.tally.restart(f'{_OLDER} epochs not newer than the last: smoothing starts anew')
+        return True
 
     def _residuals(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return code minus geometry (m), base clock removed, and which satellites are above the mask."""

@@ -32,12 +32,14 @@ from ins_gps.samples import (
     PositionSample,
     VelocitySample,
 )
-from ins_gps.solution import displaced
 from ins_gps.start import (
     PRIOR_VELOCITY,
     PRIOR_VELOCITY_MEASURED,
     coasting_config,
+    fix_estimate,
     hold_still,
+    leave_antenna,
+    position_rows,
     start_attitude,
     start_velocity,
 )
@@ -121,7 +123,7 @@ class NavigationFilter:
         s[at.ACC_BIAS : at.GYR_BIAS + 3] = 0.0
         s[at.CLOCK], s[at.CLOCK_DRIFT] = clock
         s[at.SPAN : at.SPAN_FORCE + 3] = 0.0
-        s[at.CLONE_VALID] = s[at.LOST] = s[at.INTERSYSTEM] = 0.0
+        s[at.CLONE_VALID] = s[at.LOST] = s[at.INTERSYSTEM] = s[at.HELD] = 0.0
         s[at.SEC], s[at.NSEC] = divmod(stamp, NANOSECONDS)
         P = self.covariance
         P[:] = 0.0
@@ -242,7 +244,7 @@ class NavigationFilter:
         else:
             self._tight(sample.stamp, rows)
         self._align(since)
-        return self._fix_estimate(sample.stamp)
+        return fix_estimate(sample.stamp, self.nav, self.covariance)
 
     @property
     def _prediction(self) -> np.ndarray:
@@ -277,26 +279,9 @@ class NavigationFilter:
             P[start : start + 3, :] = 0.0
             P[:, start : start + 3] = 0.0
             P[start : start + 3, start : start + 3] = np.diag(sigmas**2)
-        self._leave_antenna()
-        self.state[at.HAVE_IMU] = 0.0
+        leave_antenna(self.state, self.nav, self.covariance, self.config)
+        self.state[at.HAVE_IMU] = self.state[at.HELD] = 0.0
         self.state[at.STAGE] = at.RUNNING
-
-    def _leave_antenna(self) -> None:
-        """Move a position that is the antenna's to the IMU, now that the attitude is known."""
-        P = self.covariance
-        lever = self.config[[ch.LEVER_X, ch.LEVER_Y, ch.LEVER_Z]]
-        if not lever.any():
-            return
-        x, y, z = lever_n = matrix_from_quat(self.nav[6:10]) @ lever
-        self.nav[:] = displaced(self.nav, np.r_[lever_n, np.zeros(6)])
-        # The antenna is where it was: what attitude errs by moves the IMU the other way.
-        turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        spread = turn @ P[at.ATT : at.ATT + 3, at.ATT : at.ATT + 3]
-        P[at.POS : at.POS + 3, at.POS : at.POS + 3] += spread @ turn.T
-        P[at.POS : at.POS + 3, at.ATT : at.ATT + 3] = -spread
-        P[at.ATT : at.ATT + 3, at.POS : at.POS + 3] = -spread.T
-        # The carrier of the last epoch was at the antenna's place: no difference may see the move.
-        self.state[at.CLONE_VALID] = 0.0
 
     def _tight(self, stamp: int, rows: np.ndarray) -> None:
         report = np.zeros((len(rows), ch.REPORT_WIDTH))
@@ -329,7 +314,7 @@ class NavigationFilter:
         if fix.velocity is not None:
             nav[3:6] = mat_ecef_from_ned(nav[0], nav[1]).T @ fix.velocity.position
         self.initialise(stamp, nav, sigmas, (fix.position.clock, self.state[at.CLOCK_DRIFT]))
-        self._leave_antenna()
+        leave_antenna(self.state, self.nav, self.covariance, self.config)
 
     def _loose(self, stamp: int, rows: np.ndarray, since: float) -> None:
         s = self.state
@@ -352,23 +337,14 @@ class NavigationFilter:
 
     def _use_position(self, stamp: int, geodetic, covariance, name: str, since: float) -> None:
         """Correct with a fix `since` seconds after the last; one refused for long is believed after all."""
-        s = self.state
-        mat_en = mat_ecef_from_ned(self.nav[0], self.nav[1])
-        lever_n, site = np.empty(3), np.empty(3)
-        ch.antenna(s, self._prediction, matrix_from_quat(self.nav[6:10]), mat_en, lever_n, site)
-        nu = mat_en.T @ (ecef_from_geodetic(*geodetic) - site)
-        H = np.zeros((3, len(self.covariance)))
-        H[:, at.POS : at.POS + 3] = np.eye(3)
-        x, y, z = lever_n
-        H[:, at.ATT : at.ATT + 3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        s, P = self.state, self.covariance
+        nu, H = position_rows(s, self.nav, self._prediction, len(P), geodetic)
         again = s[at.LOST] > self.params.lost_time
         if again:
-            # As far off as the fix says: what it does not measure keeps its worth.
-            self.covariance[at.POS : at.POS + 3, at.POS : at.POS + 3] += np.outer(nu, nu)
-        if not self._vector(stamp, H, nu, covariance, name):
-            s[at.LOST] += since
-            return
-        s[at.LOST] = 0.0
+            # All of it grows until the fix fits: what hangs together with position is doubted alike.
+            P *= max(1.0, float(nu @ np.linalg.solve(H @ P @ H.T + covariance, nu)))
+        used = self._vector(stamp, H, nu, covariance, name, math.inf if again else _GATE_POSITION)
+        s[at.LOST] = 0.0 if used else s[at.LOST] + since
         if again and not self.tally.muted:
             self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
 
@@ -379,10 +355,10 @@ class NavigationFilter:
         ch.antenna_velocity(s, self._prediction, mat_nb, np.eye(3), now)
         H = np.zeros((3, len(self.covariance)))
         H[:, at.VEL : at.VEL + 3] = np.eye(3)
-        self._vector(stamp, H, velocity - now, covariance, name)
+        self._vector(stamp, H, velocity - now, covariance, name, _GATE_POSITION)
 
-    def _vector(self, stamp: int, H, nu, covariance, name: str) -> bool:
-        nis, used = vector_update(self.state, self.channels, H, nu, covariance, _GATE_POSITION)
+    def _vector(self, stamp: int, H, nu, covariance, name: str, gate: float) -> bool:
+        nis, used = vector_update(self.state, self.channels, H, nu, covariance, gate)
         if used:
             self.tally.accept(name, stamp, nis, _GATE_POSITION)
         else:
@@ -400,7 +376,7 @@ class NavigationFilter:
         if s[at.STAGE] == at.WAITING:
             self._start_from(sample.stamp, sample.geodetic, sample.covariance, None)
             s[at.FIX_SEC] = sec + 1e-9 * nsec
-            return self._fix_estimate(sample.stamp)
+            return fix_estimate(sample.stamp, self.nav, self.covariance)
         if self.coasting:
             hold_still(s)
         hold_to(s, self.channels, self._prediction, sec, nsec)
@@ -409,7 +385,7 @@ class NavigationFilter:
         s[at.FIX_SEC] = now
         self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'gnss/fix', since)
         self._align(since)
-        return self._fix_estimate(sample.stamp)
+        return fix_estimate(sample.stamp, self.nav, self.covariance)
 
     def velocity(self, sample: VelocitySample) -> None:
         """Use a velocity from elsewhere."""
@@ -451,7 +427,7 @@ class NavigationFilter:
         P[at.VEL : at.VEL + 3, at.VEL : at.VEL + 3] = velocity_covariance
         remember_carrier(s, self.channels, self.config, rows)
         self.tally.accept('loose fix', stamp, fix.position.statistic)
-        return self._fix_estimate(stamp)
+        return fix_estimate(stamp, self.nav, self.covariance)
 
     def _start(self, stamp: int, rows: np.ndarray, since: float) -> None:
         fix = epoch_fix(self.state, self.channels, self.config, self.params, rows, since)
@@ -468,26 +444,25 @@ class NavigationFilter:
 
     def _start_from(self, stamp: int, geodetic, covariance, fix: EpochFix | None) -> None:
         velocity, velocity_sigma = start_velocity(geodetic, fix)
-        clock = (fix.position.clock, 0.0) if fix is not None else (0.0, 0.0)
-        if fix is not None and fix.velocity is not None:
-            clock = (clock[0], fix.velocity.clock)
+        drift = fix.velocity.clock if fix is not None and fix.velocity is not None else 0.0
+        clock = (fix.position.clock if fix is not None else 0.0, drift)
         attitude = None
         if self.params.alignment != 'velocity':  # which needs the acceleration, hence another epoch
             attitude = start_attitude(self.state, self.params, velocity, velocity_sigma)
         self.state[at.BEFORE_VELOCITY : at.BEFORE_VELOCITY + 3] = 0.0
         if attitude is None:
-            level = np.array([1.0, 0.0, 0.0, 0.0])
-            sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, [0.0] * 3]
-            self.initialise(stamp, np.r_[geodetic, velocity, level], sigmas, clock)
-            P = self.covariance
-            P[at.ACC : at.GYR + 3, at.ACC : at.GYR + 3] = 0.0
-            self.state[at.STAGE] = at.COASTING
+            known, sigmas = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
         else:
-            sigmas = np.r_[[1.0] * 3, [velocity_sigma] * 3, attitude[1]]
-            self.initialise(stamp, np.r_[geodetic, velocity, attitude[0]], sigmas, clock)
+            known, sigmas = attitude
+        self.initialise(
+            stamp, np.r_[geodetic, velocity, known], np.r_[[1.0] * 3, [velocity_sigma] * 3, sigmas], clock
+        )
+        if attitude is None:
+            self.covariance[at.ACC : at.GYR + 3, at.ACC : at.GYR + 3] = 0.0
+            self.state[at.STAGE] = at.COASTING
         self.covariance[at.POS : at.POS + 3, at.POS : at.POS + 3] = covariance
         if attitude is not None:
-            self._leave_antenna()
+            leave_antenna(self.state, self.nav, self.covariance, self.config)
 
     def estimate(self, stamp: int) -> NavigationEstimate:
         """Return what the filter knows now."""
@@ -505,12 +480,6 @@ class NavigationFilter:
         return NavigationEstimate(
             stamp, nav[:3], origin, enu, nav[3:6], nav[6:10], rate, covariance, variance
         )
-
-    def _fix_estimate(self, stamp: int) -> FixEstimate:
-        P = self.covariance[:3, :3]
-        order = [1, 0, 2]
-        enu = P[np.ix_(order, order)] * np.array([[1.0, 1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-        return FixEstimate(stamp, self.nav[:3].copy(), enu)
 
     def biases(self, stamp: int) -> BiasEstimate:
         """Return sensor biases and clock with their σ."""

@@ -33,7 +33,8 @@ FIX_SEC = 60
 IMU_STEP = 64  # s, the last interval of the IMU
 BEFORE_VELOCITY = 61  # velocity of the epoch before, while coasting
 WHEEL_SUMS = 65  # lateral and vertical: leaky sums of the non-holonomic innovations in σ
-HEAD = 67
+HELD = 67  # s over which the last IMU sample has been held
+HEAD = 68
 
 # One channel.
 C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_REJECTED = (
@@ -42,7 +43,8 @@ C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_
 # Of `faults`: cumulated sums, onset (s), score and information of a drift, its sign, barred (0 or 1), s of
 # agreement.
 C_PLUS, C_MINUS, C_ONSET, C_SCORE, C_INFORMATION, C_SIGN, C_BARRED, C_AGREED = 12, 13, 14, 15, 16, 17, 18, 19
-CHANNEL_WIDTH = 20
+C_CORRECTED = 20  # 1: the slow error is that of a code with DGPS correction
+CHANNEL_WIDTH = 21
 
 # DGPS corrections: one slot per satellite that can exist.
 SLOTS_PER_SYSTEM = 40

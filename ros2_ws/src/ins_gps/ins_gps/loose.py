@@ -31,9 +31,10 @@ class EpochFix(NamedTuple):
     velocity: Fix | None
 
 
-def code_sigma(params) -> float:
-    """Return σ (m) of one code at the zenith, all its errors together."""
-    return math.sqrt(params.code_noise**2 + params.code_slow**2 + params.code_multipath**2)
+def code_sigma(params, corrected: bool) -> float:
+    """Return σ (m) of one code at the zenith, all its errors together, with or without DGPS correction."""
+    slow = params.code_slow if corrected else params.code_slow_alone
+    return math.sqrt(params.code_noise**2 + slow**2 + params.code_multipath**2)
 
 
 def _weights(rows, sites, params) -> tuple[np.ndarray, np.ndarray]:
@@ -63,9 +64,10 @@ def epoch_fix(state, channels: int, config, params, rows, since: float, start=No
     if len(rows) < 4:
         return None
     satellites, system = rows[:, 9:15], rows[:, 0]
-    ranges = np.array([corrected_range(state, channels, config, row)[0] for row in rows])
-    base = code_sigma(params)
-    first = solve_position(satellites, ranges, np.full(len(rows), base), system, start)
+    codes = [corrected_range(state, channels, config, row) for row in rows]
+    ranges = np.array([code[0] for code in codes])
+    base = np.array([code_sigma(params, code[2]) for code in codes])
+    first = solve_position(satellites, ranges, base, system, start)
     if first.status != OK:
         return None
     factor, above = _weights(rows, first.position, params)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from statistics import median
 
 import numpy as np
 
@@ -44,7 +46,7 @@ class EpochBuilder:
         self._atmosphere = atmosphere
         self.leap = leap
         self._locks: dict[tuple[int, int, int], tuple[float, float]] = {}
-        self._interval = 1.0
+        self._intervals: deque[float] = deque(maxlen=5)
         self._last: float | None = None
         self.position: np.ndarray | None = None
         self.missing: set[tuple[int, int]] = set()
@@ -58,26 +60,27 @@ class EpochBuilder:
         """Return the epoch with satellite states, modelled delays and lock times."""
         time = raw.time / NANOSECONDS
         if self._last is not None and time > self._last:
-            self._interval = min(self._interval, time - self._last) if self._interval else time - self._last
+            self._intervals.append(time - self._last)
         self._last = time
         rows = np.full((len(raw.rows), OBSERVATION_COLUMNS), np.nan)
         rows[:, :7] = raw.rows[:, :7]
+        lost = _LOST * median(self._intervals or [math.inf])
         for row, source in zip(rows, raw.rows, strict=True):
             row[OBS['slip']] = float(int(source[7]) & 1)
-            row[OBS['lock_time']] = self._lock(row, time)
+            row[OBS['lock_time']] = self._lock(row, time, lost)
             self._orbit(row, time)
         if self._atmosphere:
             self._delays(rows, time)
         stamp = raw.time + (GPS_EPOCH_UNIX - self.leap) * NANOSECONDS
         return GnssEpoch(stamp, rows)
 
-    def _lock(self, row: np.ndarray, time: float) -> float:
+    def _lock(self, row: np.ndarray, time: float, lost: float) -> float:
         key = (int(row[0]), int(row[1]), int(row[2]))
         if not math.isfinite(row[4]):
             self._locks.pop(key, None)
             return 0.0
         since, last = self._locks.get(key, (time, time))
-        if row[OBS['slip']] > 0.0 or time - last > _LOST * self._interval:
+        if row[OBS['slip']] > 0.0 or time - last > lost:
             since = time
         self._locks[key] = (since, time)
         return time - since

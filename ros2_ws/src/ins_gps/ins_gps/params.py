@@ -35,7 +35,7 @@ class FilterParams:
     accel_bias_sigma: float = parameter(
         0.1, 'accelerometer bias at the start, one σ', unit='m/s²', minimum=0.0
     )
-    imu_gap: float = parameter(0.1, 'longer steps count as a gap of the IMU', unit='s', minimum=0.005)
+    imu_gap: float = parameter(0.1, 'longer without an IMU sample counts as a gap', unit='s', minimum=0.005)
     gap_force: float = parameter(2.0, 'acceleration possible in a gap, one σ', unit='m/s²', minimum=0.0)
     gap_rate: float = parameter(0.3, 'turn rate possible in a gap, one σ', unit='rad/s', minimum=0.0)
     covariance_step: float = parameter(

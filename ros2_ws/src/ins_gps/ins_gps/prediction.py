@@ -34,6 +34,7 @@ from ins_gps.layout import (
     GYR_BIAS,
     HAVE_IMU,
     HEAD,
+    HELD,
     INTERSYSTEM,
     ISB,
     NAV_STATES,
@@ -213,6 +214,37 @@ def advance_covariance(state, channels, config):
 
 
 @njit(cache=True, nogil=True)
+def _doubt_gap(state, channels, config, start):
+    """Add what the craft may have done since the gap of the IMU was `start` s old.
+
+    A gap of h s leaves σ of gap_force h in velocity and gap_rate h in attitude, as noise of a density that
+    grows with h: it does not matter how epochs cut the gap.
+    """
+    P = covariance_of(state, channels)
+    end = state[HELD]
+    dt = end - start
+    # Integrals of 2 h u^k over the part, u being the time from h to its end.
+    m = np.empty(5)
+    for k in range(5):
+        m[k] = 2.0 * dt ** (k + 1) * (end / (k + 1.0) - dt / (k + 2.0))
+    f = matrix_from_quat(state[NAVIGATION + 6 : NAVIGATION + 10]) @ state[FORCE : FORCE + 3]
+    # What attitude errs by tilts the force.
+    A = np.array([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
+    qf, qr = config[GAP_FORCE] ** 2, config[GAP_RATE] ** 2
+    one, AA = np.eye(3), A @ A.T
+    pos, vel, att = slice(POS, POS + 3), slice(VEL, VEL + 3), slice(ATT, ATT + 3)
+    P[pos, pos] += qf * m[2] * one + 0.25 * qr * m[4] * AA
+    P[vel, vel] += qf * m[0] * one + qr * m[2] * AA
+    P[att, att] += qr * m[0] * one
+    P[pos, vel] += qf * m[1] * one + 0.5 * qr * m[3] * AA
+    P[vel, pos] += qf * m[1] * one + 0.5 * qr * m[3] * AA
+    P[pos, att] += 0.5 * qr * m[2] * A
+    P[att, pos] += 0.5 * qr * m[2] * A.T
+    P[vel, att] += qr * m[1] * A
+    P[att, vel] += qr * m[1] * A.T
+
+
+@njit(cache=True, nogil=True)
 def _integrate(state, channels, config, rate, force, dt):
     inc = np.empty(6)
     work = np.empty(20)
@@ -224,14 +256,11 @@ def _integrate(state, channels, config, rate, force, dt):
         state[SPAN_FORCE + k] += work[k]
     state[SPAN] += dt
     state[CLOCK] += dt * state[CLOCK_DRIFT]
-    if dt > config[GAP]:
-        # Nothing was measured in the gap: the craft may have done what gap_force and gap_rate allow.
+    start = state[HELD]
+    state[HELD] += dt
+    if state[HELD] > config[GAP] + 1e-9:
         advance_covariance(state, channels, config)
-        P = covariance_of(state, channels)
-        for k in range(3):
-            P[VEL + k, VEL + k] += (config[GAP_FORCE] * dt) ** 2
-            P[POS + k, POS + k] += (0.5 * config[GAP_FORCE] * dt * dt) ** 2
-            P[ATT + k, ATT + k] += (config[GAP_RATE] * dt) ** 2
+        _doubt_gap(state, channels, config, start if start > config[GAP] + 1e-9 else 0.0)
     elif state[SPAN] >= config[COVARIANCE_STEP] - 1e-9:
         advance_covariance(state, channels, config)
 
@@ -241,6 +270,7 @@ def imu_step(state, channels, config, rate, force, sec, nsec):
     """Advance to (sec, nsec) with a sample's mean rate and force (3,), biases still in them."""
     dt = (sec - state[SEC]) + (nsec - state[NSEC]) * 1e-9
     if not dt > 0.0:
+        state[HELD] = -dt
         return
     w = np.empty(3)
     f = np.empty(3)
@@ -252,6 +282,7 @@ def imu_step(state, channels, config, rate, force, sec, nsec):
         state[FORCE : FORCE + 3] = f
         state[HAVE_IMU] = 1.0
     _integrate(state, channels, config, w, f, dt)
+    state[HELD] = 0.0
     state[SEC] = sec
     state[NSEC] = nsec
 

@@ -8,12 +8,14 @@ import math
 import numpy as np
 
 from ins_gps import layout as at
-from ins_gps.channels import LEVER_X, LEVER_Y, LEVER_Z
+from ins_gps.channels import LEVER_X, LEVER_Y, LEVER_Z, antenna
 from ins_gps.loose import EpochFix
 from ins_gps.params import FilterParams
 from ins_gps.prediction import BIASES, GAP, Q_ACCEL, Q_GYRO
+from ins_gps.samples import FixEstimate
+from ins_gps.solution import displaced
 from ins_gps.strapdown import navigation_rates
-from kalman_core.earth import gravity, mat_ecef_from_ned
+from kalman_core.earth import ecef_from_geodetic, gravity, mat_ecef_from_ned
 from kalman_core.rotation import matrix_from_quat, quat_from_euler
 
 PRIOR_VELOCITY = 30.0  # m/s, where nothing measures it
@@ -98,3 +100,39 @@ def start_attitude(
     force = state[at.ALIGN_FORCE : at.ALIGN_FORCE + 3]
     roll, pitch = _level(force, np.array([ahead, right, down - here]))
     return quat_from_euler(roll, pitch, yaw), np.array([tilt, tilt, yaw_sigma])
+
+
+def leave_antenna(state, nav, P, config) -> None:
+    """Move a position that is the antenna's to the IMU, now that the attitude is known."""
+    lever = config[[LEVER_X, LEVER_Y, LEVER_Z]]
+    if not lever.any():
+        return
+    x, y, z = lever_n = matrix_from_quat(nav[6:10]) @ lever
+    nav[:] = displaced(nav, np.r_[lever_n, np.zeros(6)])
+    # The antenna is where it was: what attitude errs by moves the IMU the other way.
+    turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    spread = turn @ P[at.ATT : at.ATT + 3, at.ATT : at.ATT + 3]
+    P[at.POS : at.POS + 3, at.POS : at.POS + 3] += spread @ turn.T
+    P[at.POS : at.POS + 3, at.ATT : at.ATT + 3] = -spread
+    P[at.ATT : at.ATT + 3, at.POS : at.POS + 3] = -spread.T
+    # The carrier of the last epoch was at the antenna's place: no difference may see the move.
+    state[at.CLONE_VALID] = 0.0
+
+
+def position_rows(state, nav, config, n: int, geodetic) -> tuple[np.ndarray, np.ndarray]:
+    """Return innovation (3,) m NED and derivative (3, n) of a position of the antenna (rad, rad, m)."""
+    mat_en = mat_ecef_from_ned(nav[0], nav[1])
+    lever_n, site = np.empty(3), np.empty(3)
+    antenna(state, config, matrix_from_quat(nav[6:10]), mat_en, lever_n, site)
+    H = np.zeros((3, n))
+    H[:, at.POS : at.POS + 3] = np.eye(3)
+    x, y, z = lever_n
+    H[:, at.ATT : at.ATT + 3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return mat_en.T @ (ecef_from_geodetic(*geodetic) - site), H
+
+
+def fix_estimate(stamp: int, nav, P) -> FixEstimate:
+    """Return the position with its covariance in ENU (m²)."""
+    order = [1, 0, 2]
+    sign = np.array([[1.0, 1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    return FixEstimate(stamp, nav[:3].copy(), P[:3, :3][np.ix_(order, order)] * sign)

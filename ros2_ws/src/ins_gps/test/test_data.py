@@ -10,9 +10,10 @@ from ins_gps.fixtures import FIXTURES
 from ins_gps.observations import EpochBuilder
 from ins_gps.params import BaseParams
 from ins_gps.rinex import RinexError, read_navigation, read_observations
-from ins_gps.samples import GnssEpoch, PositionSample
+from ins_gps.samples import OBS, GnssEpoch, PositionSample
 from ins_gps.simulation import STANDALONE, Scenario
 from ins_gps.simulation_gnss import simulate
+from kalman_core.earth import ecef_from_geodetic
 from kalman_core.parameters import ParameterError
 
 BASE = Scenario(trajectory='s_turns', duration=60.0, imu_rate=20.0)
@@ -35,7 +36,6 @@ def test_corrections_cancel_what_base_and_rover_share():
     rows = epochs[0].rows
     site = BASE.origin
     from ins_gps.orbit import range_and_rate
-    from kalman_core.earth import ecef_from_geodetic
 
     left = []
     for row, correction in zip(rows, first.rows[:, 2]):
@@ -139,6 +139,19 @@ def test_a_rinex_2_base_fixes_where_its_header_says(recordings):
     assert np.linalg.norm(builder.position - own.position) < 60.0
 
 
+def test_locks_grow_at_any_interval_and_start_anew_after_a_missed_epoch(recordings):
+    folder = recordings / 'matrtklib_static'
+    navigation = read_navigation(folder / 'base.nav')
+    raws = read_observations(folder / 'rover.obs', (1,)).epochs[:40:2]
+    builder = EpochBuilder(navigation.ephemerides, navigation.klobuchar, atmosphere=False)
+    locks = [builder.build(raw).rows[:, OBS['lock_time']].max() for raw in raws]
+    np.testing.assert_allclose(locks, 2.0 * np.arange(20))
+    builder = EpochBuilder(navigation.ephemerides, navigation.klobuchar, atmosphere=False)
+    for raw in [*raws[:10], *raws[11:12]]:
+        last = builder.build(raw)
+    assert last.rows[:, OBS['lock_time']].max() == 0.0
+
+
 def test_a_bad_file_is_named(tmp_path):
     path = tmp_path / 'x.obs'
     path.write_text('not rinex\n')
@@ -187,6 +200,30 @@ def test_a_base_takes_its_position_from_a_topic_when_asked_to():
         # The position is sent again and again: only one that moved starts the smoothing anew.
         base.on_position(PositionSample(epoch.stamp, np.array(BASE.origin), np.eye(3)))
         np.testing.assert_allclose(base.on_gnss(epoch).rows, told.on_gnss(epoch).rows, atol=1e-6)
+
+
+@pytest.mark.parametrize('ahead', [11.0, 604_800.0])
+def test_a_base_outlives_a_stamp_ahead_and_a_bag_that_starts_again(ahead):
+    _, epochs = _base_epochs(3)
+    base = DgpsBase(BaseParams(position=_degrees(BASE.origin), elevation_mask=0.0, position_limit=500.0))
+    early = epochs[:5]
+    early += [epochs[5]._replace(stamp=epochs[5].stamp + round((ahead + 20.0) * 1e9))]
+    assert all(base.on_gnss(e) is not None for e in early)
+    assert [base.on_gnss(e) is not None for e in epochs[6:20]] == [False] * 9 + [True] * 5
+    assert [base.on_gnss(e) is not None for e in epochs] == [False] * 9 + [True] * (len(epochs) - 9)
+    assert len(base.tally.restarts) == 2
+    # The position is still the parameter's.
+    np.testing.assert_allclose(base.position, ecef_from_geodetic(*BASE.origin))
+
+
+def test_epochs_out_of_order_do_not_start_a_base_anew():
+    _, epochs = _base_epochs(3)
+    base = DgpsBase(BaseParams(position=_degrees(BASE.origin), elevation_mask=0.0, position_limit=500.0))
+    for epoch in epochs:
+        assert base.on_gnss(epoch) is not None
+        assert base.on_gnss(epochs[0]) is None
+    assert all(base.on_gnss(epochs[3]) is None for _ in range(30))
+    assert not base.tally.restarts
 
 
 def test_an_epoch_with_fewer_satellites_than_it_says_is_read(tmp_path):

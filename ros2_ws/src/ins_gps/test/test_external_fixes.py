@@ -10,8 +10,8 @@ import pytest
 from ins_gps.estimator import InsGpsEstimator
 from ins_gps.evaluation import filter_params
 from ins_gps.params import FilterParams
-from ins_gps.samples import FixEstimate, NavigationEstimate, PositionSample, VelocitySample
-from ins_gps.simulation import DGPS, HG1700, Scenario
+from ins_gps.samples import FixEstimate, GnssEpoch, NavigationEstimate, PositionSample, VelocitySample
+from ins_gps.simulation import DGPS, HG1700, MEMS, MOTIONS, Scenario, _level
 from ins_gps.simulation_gnss import simulate
 from ins_gps.solution import error_of
 from kalman_core.consistency import chi2_band
@@ -130,3 +130,52 @@ def test_a_velocity_before_any_fix_is_refused_and_starts_nothing():
     estimator.on_velocity(VelocitySample(10**9, np.zeros(3), np.eye(3)))
     assert not estimator.navigation.running
     assert 'no position to start from yet' in estimator.tally.sensor('gnss/velocity').rejected
+
+
+def _accelerating(t):
+    one = np.ones_like(t)
+    return _level(0.0 * t, 0.0 * t, 2.5 * one, 0.0 * t)
+
+
+@pytest.mark.parametrize('source', ['observations', 'fixes', 'fixes and velocities'])
+def test_it_aligns_within_three_sigma_while_it_accelerates(source, monkeypatch):
+    monkeypatch.setitem(MOTIONS, 'car', (_accelerating, (3.0, 0.0, 0.0)))
+    run = simulate(Scenario(trajectory='car', duration=8.0, imu_rate=50.0, imu=MEMS), 2)
+    mode = 'tight_tdcp' if source == 'observations' else 'loose'
+    estimator = InsGpsEstimator(FilterParams(mode=mode))
+    samples = {
+        'observations': run.epochs,
+        'fixes': [s for s in fixes(run, 1, lambda _, ned: 0.02 * ned) if type(s) is PositionSample],
+        'fixes and velocities': fixes(run, 1),
+    }[source]
+    if source == 'fixes':
+        samples = [s._replace(covariance=s.covariance * 0.02**2) for s in samples]
+    handlers = {
+        PositionSample: estimator.on_position,
+        VelocitySample: estimator.on_velocity,
+        GnssEpoch: estimator.on_gnss,
+    }
+    for sample in sorted([*run.imu_samples(), *samples], key=lambda s: s.stamp):
+        handlers.get(type(sample), estimator.on_imu)(sample)
+        if estimator.navigation.running:
+            break
+    assert estimator.navigation.running
+    truth = run.truth[np.searchsorted(run.stamps, sample.stamp)]
+    tilt = error_of(estimator.navigation.nav, truth)[6:8]
+    sigma = np.sqrt(np.diag(estimator.navigation.covariance)[6:8])
+    assert (np.abs(tilt) < 3.0 * sigma).all(), np.degrees(tilt)
+    # 2.5 m/s² taken for a tilt would be 14 degrees.
+    assert (np.abs(tilt) < math.radians(7.0)).all(), np.degrees(tilt)
+
+
+@pytest.mark.parametrize('speeds', [False, True])
+def test_a_flight_that_starts_itself_errs_as_its_covariance_says(speeds):
+    scenario = Scenario(trajectory='flight', duration=60.0, imu_rate=50.0, imu=MEMS)
+    nees = []
+    for seed in range(6):
+        run = simulate(scenario, 20 + seed)
+        samples = [s for s in fixes(run, seed) if speeds or type(s) is PositionSample]
+        estimator, estimates, _ = feed(run, samples, FilterParams(mode='loose'))
+        nees.append(errors(run, estimates[-1:], 0.0)[1][0])
+        assert not estimator.tally.sensor('gnss/fix').rejected
+    assert np.mean(nees) < chi2_band(0.999, 6, 6)[1]

@@ -15,9 +15,9 @@ from ins_gps.evaluation import (
 )
 from ins_gps.filter import NavigationFilter
 from ins_gps.params import FilterParams
-from ins_gps.prediction import NAV_STATES, error_dynamics, inject
-from ins_gps.samples import GnssEpoch, ImuSample
-from ins_gps.simulation import DGPS, MEMS, MOTIONS, NOISELESS, Fault, Outage, Scenario, _level
+from ins_gps.prediction import NAV_STATES, error_dynamics, hold_to, inject
+from ins_gps.samples import Corrections, GnssEpoch, ImuSample
+from ins_gps.simulation import DGPS, MEMS, MOTIONS, NOISELESS, STANDALONE, Fault, Outage, Scenario, _level
 from ins_gps.simulation_gnss import simulate
 from ins_gps.solution import error_of
 from ins_gps.strapdown import increments, mechanise
@@ -149,6 +149,107 @@ def test_a_lever_arm_is_modelled_at_both_epochs():
     with_lever = evaluate(simulate(scenario, 9), params, 9)
     assert with_lever.position[60:].mean() < 0.5
     assert with_lever.navigation.tally.sensor('gnss/carrier').rejected['cycle slip'] == 0
+
+
+def _held(cuts):
+    """Return σ (9,) after an IMU that was silent for 4 s, brought there by `cuts` steps."""
+    navigation = NavigationFilter(FilterParams())
+    nav = np.r_[0.7, 1.9, 300.0, 20.0, -5.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    start = 10**18
+    navigation.initialise(start, nav, np.r_[[1.0] * 3, [0.1] * 3, [0.01] * 3])
+    rate, force = np.zeros(3), np.array([0.0, 0.0, -9.8])
+    for i in range(1, 11):
+        navigation.imu(ImuSample(start + i * 10_000_000, rate, force))
+    start += 100_000_000
+    for i in range(1, cuts + 1):
+        when = divmod(start + round(i * 3.99e9 / cuts), 10**9)
+        hold_to(navigation.state, navigation.channels, navigation.config, *when)
+    navigation.imu(ImuSample(start + 4 * 10**9, rate, force))
+    navigation.flush()
+    return np.sqrt(np.diag(navigation.covariance)[:9])
+
+
+def test_a_gap_of_the_imu_adds_the_same_however_epochs_cut_it():
+    whole = _held(1)
+    p = FilterParams()
+    np.testing.assert_allclose(whole[6:9], 4.0 * p.gap_rate, rtol=0.01)
+    assert (whole[3:6] > 4.0 * p.gap_force).all()
+    for cuts in (4, 20, 40, 80):
+        np.testing.assert_allclose(_held(cuts), whole, rtol=0.05)
+
+
+@pytest.mark.parametrize('rate', [1.0, 5.0, 10.0])
+def test_after_a_gap_of_the_imu_the_yaw_is_doubted_and_found_again(rate):
+    scenario = Scenario(trajectory='s_turns', duration=35.0, imu_rate=50.0, gnss_rate=rate)
+    run = simulate(scenario, 3)
+    navigation = NavigationFilter(filter_params(DGPS))
+    navigation.initialise(int(run.stamps[0]), run.truth[0], START_SIGMAS, tuple(run.clock[0]), (100.0, 3.0))
+    imu = run.imu_samples()
+    k = 1
+    for epoch in run.epochs[1:]:
+        while k < len(run.stamps) and run.stamps[k] <= epoch.stamp:
+            if not 18.05e9 < run.stamps[k] - run.stamps[0] < 22.0e9:
+                navigation.imu(imu[k - 1])
+            k += 1
+        navigation.gnss(epoch)
+        if epoch.stamp - run.stamps[0] == 22 * 10**9:
+            doubt = math.sqrt(navigation.covariance[8, 8])
+    error = error_of(navigation.nav, run.truth[-1])
+    assert doubt == pytest.approx(4.0 * FilterParams().gap_rate, rel=0.2)
+    assert np.linalg.norm(error[:3]) < 2.0
+    assert abs(error[8]) < math.radians(1.0)
+
+
+def test_fixes_without_corrections_err_as_the_covariance_says():
+    nees = []
+    for seed in range(60):
+        scenario = Scenario(duration=2.0, imu_rate=10.0, budget=replace(STANDALONE, white=False))
+        run = simulate(scenario, seed)
+        params = filter_params(scenario.budget, mode='gps', code_slow=0.1)
+        navigation = NavigationFilter(params)
+        assert navigation.gnss(run.epochs[0]) is not None
+        error = error_of(navigation.nav, run.truth[0])[:3]
+        nees.append(error @ np.linalg.solve(navigation.covariance[:3, :3], error))
+    low, high = chi2_band(0.99, 3, len(nees))
+    assert low < np.mean(nees) < high
+
+
+@pytest.mark.parametrize('begin', [True, False])
+def test_corrections_that_begin_or_end_change_the_error_of_a_code(begin):
+    """A satellite errs by 2.5 m without correction and by 0.1 m with it, 1 σ."""
+    budget = replace(
+        DGPS, ionosphere=0.0, troposphere=0.0, orbit=0.0, multipath=0.5, receiver=0.5, white=False
+    )
+    params = filter_params(budget, code_slow=0.1, code_slow_alone=2.5)
+    scenario = Scenario(trajectory='s_turns', duration=100.0, imu_rate=20.0, budget=budget)
+    nees, rejected = [], 0
+    for seed in range(6):
+        run = simulate(scenario, seed)
+        slow = 2.5 * np.random.default_rng(seed).standard_normal(40)
+        navigation = NavigationFilter(params)
+        clock = tuple(run.clock[0])
+        navigation.initialise(int(run.stamps[0]), run.truth[0], START_SIGMAS, clock, (100.0, 3.0))
+        imu = iter(run.imu_samples())
+        sample = next(imu)
+        for k, epoch in enumerate(run.epochs[1:]):
+            while sample is not None and sample.stamp <= epoch.stamp:
+                navigation.imu(sample)
+                sample = next(imu, None)
+            own = slow[epoch.rows[:, 1].astype(int)]
+            epoch.rows[:, 3] += own
+            if (k >= 50) == begin:
+                zero = np.zeros(len(own))
+                rows = np.column_stack([zero, epoch.rows[:, 1], -own, zero, zero])
+                navigation.corrections(Corrections(epoch.stamp, rows))
+            navigation.gnss(epoch)
+        error = error_of(navigation.nav, run.truth[-1])[:3]
+        P = navigation.covariance[:3, :3]
+        nees.append(error @ np.linalg.solve(P, error))
+        rejected += navigation.tally.sensor('gnss/code').rejected.total()
+        assert (np.trace(P) < 1.0) or not begin
+    low, high = chi2_band(0.99, 3, len(nees))
+    assert low < np.mean(nees) < high
+    assert rejected <= 6
 
 
 def test_it_starts_from_rest_and_aligns_by_the_course():

@@ -220,11 +220,12 @@ class Player(Node):
             self.spin_for(0.0)
 
     def _flush(self) -> None:
-        """Wait until every matched reader has received what was published.
+        """Wait, ten seconds at most, until every matched reader has received what was published.
 
         Once at the end only: Fast DDS asks for acknowledgements every three seconds, so this is no means to
         hold the player back.
         """
+        deadline = time.monotonic() + _FLUSH_TIMEOUT
         for publisher in self._publishers_by_topic.values():
             if publisher.get_subscription_count():
-                publisher.wait_for_all_acked(Duration(seconds=_FLUSH_TIMEOUT))
+                publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))

@@ -97,8 +97,8 @@ class Recorder(Node):
         from_header = headed and self._options.stamp == 'header'
 
         def receive(data: bytes) -> None:
-            stamp = header_stamp(data) if from_header else self.get_clock().now().nanoseconds
-            self._writer.write_raw(topic, stamp, data)
+            received = self.get_clock().now().nanoseconds
+            self._writer.write_raw(topic, header_stamp(data, received) if from_header else received, data)
             self.rule.received(time.monotonic())
             if self._acknowledger is not None:
                 self._acknowledger.processed(topic)

@@ -295,8 +295,8 @@ class BagWriter:
 
     `path` is a rosbag2 folder, or a single file when it ends in .mcap or .db3. `compression` 'zstd'
     compresses chunks (mcap) or messages (sqlite3). As a context manager it removes what it wrote when the
-    body raises; with `salvage` what it took before stays under the temporary name. Raises BagError when `path`
-    exists and `overwrite` is not set, and when the disk takes no more.
+    body raises; with `salvage` what it took before stays under the temporary name. Raises BagError when
+    `path` exists and `overwrite` is not set, and when the disk takes no more.
     """
 
     def __init__(

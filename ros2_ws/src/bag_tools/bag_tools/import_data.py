@@ -162,9 +162,8 @@ def import_tables(mapping: Mapping, source: Path, writer: BagWriter) -> None:
             try:
                 writer.write(topic, int(stamps[k]), column.fill(int(rows[k])))
             except (struct.error, OverflowError) as error:
-                raise BagError(
-                    f"{source}: '{topic}' at {stamps[k] * 1e-9:.3f} s: {error}; a number does not fit its field"
-                ) from None
+                where = f"{source}: '{topic}' at {stamps[k] * 1e-9:.3f} s"
+                raise BagError(f'{where}: {error}; a number does not fit its field') from None
             if not done % _PROGRESS_STRIDE:
                 progress.update(done)
 

@@ -131,7 +131,7 @@ def _is_for(section: str, node: str) -> bool:
 
 
 def file_parameters(path: Path, node: str) -> dict[str, Any]:
-    """Return the parameters that `path` holds for `node` (sections such as ``/**``, ``/name``, ``/**/name``)."""
+    """Return what `path` holds for `node`: sections such as ``/**``, ``/name``, ``/**/name``."""
     try:
         document = load_yaml(path.read_text())
     except OSError as error:

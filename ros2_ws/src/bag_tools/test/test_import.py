@@ -222,7 +222,8 @@ def test_numbers_that_their_field_cannot_hold_are_one_clear_line(tmp_path, capsy
 
 def test_whole_numbers_are_rounded(tmp_path):
     (tmp_path / 'm.yaml').write_text(
-        'topics: [{topic: n, type: std_msgs/msg/UInt8, stamp: {rate: 1}, fields: {data: {column: x, scale: 100}}}]'
+        'topics: [{topic: n, type: std_msgs/msg/UInt8, stamp: {rate: 1},'
+        ' fields: {data: {column: x, scale: 100}}}]'
     )
     (tmp_path / 'a.csv').write_text('x\n0.29\n')
     import_data(str(tmp_path / 'm.yaml'), tmp_path / 'a.csv', tmp_path / 'bag')

@@ -96,19 +96,42 @@ def _rate(state, channels: int, row, since: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _weaken(S, nu, covariance, gate):
+    """Return the covariance (m, m), grown until the NIS is `gate`; S: (m, m) of the innovation nu, in place.
+
+    Bounded influence (Huber): a fix beyond the gate moves the state less, the further off it is.
+    """
+    weight = 1.0
+    # Newton's method on 1/NIS, which is concave in the weight: it comes from below and is exact for m = 1.
+    for _ in range(20):
+        y = np.linalg.solve(S, nu)
+        nis = nu @ y
+        if not nis > gate * (1.0 + 1e-6):
+            break
+        step = (1.0 / gate - 1.0 / nis) * nis * nis / (y @ covariance @ y)
+        S += step * covariance
+        weight += step
+    return weight * covariance
+
+
+@njit(cache=True, nogil=True)
 def vector_update(state, channels, H, nu, covariance, gate):
-    """Correct with a vector of at most a few correlated measurements; return (NIS, whether it was used).
+    """Correct with a vector of at most a few correlated measurements; return (NIS, whether within the gate).
 
     H: (m, n), nu: (m,), covariance: (m, m). Judged as a whole: `gate` limits the NIS with m degrees of
-    freedom.
+    freedom. What lies beyond it gets the weight that puts it on the gate: systematic errors (a delay, a
+    lever arm) of a precise fix would otherwise shut it out for good.
     """
     P = covariance_of(state, channels)
     n = P.shape[0]
     m = len(nu)
     S = H @ P @ H.T + covariance
     nis = nu @ np.linalg.solve(S, nu)
-    if not nis <= gate:
+    if not math.isfinite(nis):
         return nis, False
+    within = nis <= gate
+    if not within:
+        covariance = _weaken(S, nu, covariance, gate)
     L = np.linalg.cholesky(covariance)
     white_H = np.linalg.solve(L, H)
     white_nu = np.linalg.solve(L, nu)
@@ -119,7 +142,7 @@ def vector_update(state, channels, H, nu, covariance, gate):
     nowhere = np.full(m, -1, np.int64)
     spread_signatures(state, channels, white_H, white_nu, R, status, information, nowhere, nowhere, 0.0)
     inject(state, channels, dx)
-    return nis, True
+    return nis, within
 
 
 def ned_covariance(fix: Fix, geodetic: np.ndarray) -> np.ndarray:

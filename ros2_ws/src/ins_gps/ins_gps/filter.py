@@ -436,10 +436,8 @@ class NavigationFilter:
         if fix is None:
             self.tally.reject('loose fix', 'no consistent fix to start from')
         else:
-            spread = np.eye(3) * _PRIOR_POSITION**2
-            if self.params.mode == 'loose':
-                spread = ned_covariance(fix.position, fix.geodetic)
-            self._start_from(stamp, fix.geodetic, spread, fix)
+            # The epoch is used again, as a measurement: here it only says where.
+            self._start_from(stamp, fix.geodetic, np.eye(3) * _PRIOR_POSITION**2, fix)
         s[at.EPOCH_SEC], s[at.EPOCH_NSEC], s[at.HAVE_EPOCH] = sec, nsec, 1.0
 
     def _start_from(self, stamp: int, geodetic, covariance, fix: EpochFix | None) -> None:

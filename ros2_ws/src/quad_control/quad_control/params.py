@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from dataclasses import dataclass
 
 from kalman_core.parameters import ParameterError, parameter
@@ -328,9 +329,9 @@ class EscParams:
         """Check the rules that span fields."""
         if self.bus != 'fake' and not self.bus.startswith('/dev/i2c-'):
             raise ParameterError(f"parameter 'bus' is '{self.bus}', allowed: /dev/i2c-N or fake")
-        if len(set(self.channels)) != len(self.channels):
+        if len(set(self.channels)) != len(self.channels) or any(c != int(c) for c in self.channels):
             raise ParameterError(
-                f"parameter 'channels' is {list(self.channels)}, allowed: four different ones"
+                f"parameter 'channels' is {list(self.channels)}, allowed: four different whole numbers"
             )
 
 
@@ -341,9 +342,16 @@ class WebParams:
     host: str = parameter('127.0.0.1', 'address to listen on; others than loopback need a token of your own')
     port: int = parameter(8090, 'port; 0 = any free one', minimum=0, maximum=65535)
     token: str = parameter('', 'secret of the page; empty = a new one at each start, printed with the link')
+    proxy_host: str = parameter(
+        '', 'name[:port] by which browsers reach the page through a TLS proxy; empty = no proxy'
+    )
 
     def __post_init__(self) -> None:
         """Check the rules that span fields."""
+        if self.proxy_host and not re.fullmatch(r'[a-z0-9.\-\[\]:]+', self.proxy_host):
+            raise ParameterError(
+                f"parameter 'proxy_host' is '{self.proxy_host}', allowed: a name in lower case, and a port"
+            )
         loopback = self.host in ('127.0.0.1', 'localhost', '::1')
         if (self.token or not loopback) and len(self.token) < 16:
             raise ParameterError("parameter 'token' is too short, allowed: 16 characters or more")

@@ -76,6 +76,8 @@ class Pca9685Driver:
 
     def __init__(self, params: PwmParams, open_bus: Callable[[], I2cBus], steady: Callable[[], int]) -> None:
         self._channels = [int(channel) for channel in params.channels]
+        if self._channels != list(params.channels):
+            raise ValueError(f'channels {list(params.channels)} are not whole numbers')
         if len(set(self._channels)) != len(self._channels):
             raise ValueError(f'channels {self._channels} are not different from each other')
         self._params = params

@@ -2,8 +2,9 @@
 """The tuning page's server without ROS: checks every request, then asks a Backend.
 
 Whoever can reach the port could fly the craft, so: a token for everything but the page's own files, the Host
-header must name this server (no DNS rebinding), a browser's Origin must be this server's, bodies are JSON
-with exactly the expected keys and finite numbers within bounds, and the page may load nothing from elsewhere.
+header must name this server (no DNS rebinding), a browser's Origin must be this server's (over TLS where a
+proxy adds it), bodies are JSON with exactly the expected keys and finite numbers within bounds, and the page
+may load nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -110,13 +111,22 @@ class History:
         return {name: pair[0] for name, pair in self.entries[-1]['changes'].items()}
 
 
-class TunerServer:
-    """The aiohttp application. `hosts` are the Host headers that name this server."""
+def authority(host: str, port: int) -> str:
+    """Return `host` and `port` as URLs and Host headers have them: an IPv6 address in brackets."""
+    return f'[{host}]:{port}' if ':' in host else f'{host}:{port}'
 
-    def __init__(self, backend: Backend, token: str, hosts: set[str]) -> None:
+
+class TunerServer:
+    """The aiohttp application. `hosts` are the Host headers that name this server.
+
+    `proxy_host` is one more, that of a proxy which speaks TLS with the browser and passes Host on.
+    """
+
+    def __init__(self, backend: Backend, token: str, hosts: set[str], proxy_host: str = '') -> None:
         self._backend = backend
         self._token = token
         self._hosts = hosts
+        self._proxy_host = proxy_host
         self.history = History()
         self._changing = asyncio.Lock()
         self.app = web.Application(middlewares=[self._guard], client_max_size=_LARGEST_BODY)
@@ -149,12 +159,15 @@ class TunerServer:
 
     def _check(self, request: web.Request) -> None:
         host = request.headers.get('Host', '')
-        if host not in self._hosts:
+        origins = {f'https://{host}'}
+        if host in self._hosts:
+            origins.add(f'http://{host}')
+        elif not host or host != self._proxy_host:
             raise _Bad(403, 'wrong host')
         origin = request.headers.get('Origin')
         socket = request.path == '/ws'
         # A browser always sends Origin with a websocket; without one it is not the page.
-        if (origin is not None or socket) and origin != f'http://{host}':
+        if (origin is not None or socket) and origin not in origins:
             raise _Bad(403, 'wrong origin')
         if request.path in _FILES:
             return

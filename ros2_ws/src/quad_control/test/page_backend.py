@@ -3,6 +3,7 @@
 
 import dataclasses
 import math
+import socket
 
 import numpy as np
 
@@ -98,3 +99,13 @@ class FlyingBackend:
         noise = 0.03 * np.sin(0.9 * self.counter)
         angles = [[self.roll, 0.0], [roll, pitch], [roll + noise, pitch - noise]]
         self.kept.append((self.counter, [plant.time, *angles, list(command)]))
+
+
+def has_ipv6():
+    """Return whether this machine has an IPv6 loopback."""
+    try:
+        with socket.socket(socket.AF_INET6) as probe:
+            probe.bind(('::1', 0))
+    except OSError:
+        return False
+    return True

@@ -7,6 +7,7 @@ import urllib.request
 from contextlib import ExitStack
 
 import pytest
+from page_backend import has_ipv6
 
 from node_core.testing import Process, probe
 
@@ -173,6 +174,18 @@ def test_motors_idle_when_the_controller_dies_in_flight(flight):
 def test_the_nodes_end_with_0(flight):
     _, processes, _ = flight
     assert {name: process.stop() for name, process in processes.items()} == dict.fromkeys(processes, 0)
+
+
+@pytest.mark.skipif(not has_ipv6(), reason='this machine has no IPv6 loopback')
+def test_the_page_is_served_on_an_ipv6_address():
+    with Process.node(
+        'quad_control', 'web_tuner', params={'host': '::1', 'port': 0, 'token': TOKEN}
+    ) as process:
+        with probe() as watcher:
+            watcher.until(lambda: 'page: http://[::1]:' in process.output, 'the page', process=process)
+        nodes = {'web_tuner': process}
+        assert ask(nodes, 'api/state', origin=url(nodes).rstrip('/'))[0] == 200
+        assert process.stop() == 0
 
 
 def test_a_missing_pwm_chip_is_said_on_the_terminal_and_ends_nothing():

@@ -272,6 +272,11 @@ def test_closing_on_a_dead_bus_does_not_raise():
     assert any('closing' in reason for reason in rig.driver.link.faults)
 
 
+def test_half_a_channel_is_refused():
+    with pytest.raises(ValueError, match='not whole numbers'):
+        Rig(channels=(0.0, 1.5, 2.0, 3.0))
+
+
 def test_one_channel_twice_is_refused():
     with pytest.raises(ValueError, match='not different'):
         Rig(channels=(0.0, 1.0, 1.0, 2.0))

@@ -4,23 +4,23 @@ import asyncio
 import aiohttp
 import pytest
 from aiohttp import web
-from page_backend import FlyingBackend
+from page_backend import FlyingBackend, has_ipv6
 
-from quad_control.web_server import TunerServer
+from quad_control.web_server import TunerServer, authority
 
 TOKEN = 'a-token-of-the-test-0123456789'
 
 
-def serve(check):
+def serve(check, address='127.0.0.1', proxy_host=''):
     """Run ``check(client, backend, url)`` against a real server on a free port."""
 
     async def main():
         hosts = set()
         backend = FlyingBackend()
-        runner = web.AppRunner(TunerServer(backend, TOKEN, hosts).app)
+        runner = web.AppRunner(TunerServer(backend, TOKEN, hosts, proxy_host).app)
         await runner.setup()
-        await web.TCPSite(runner, '127.0.0.1', 0).start()
-        host = f'127.0.0.1:{runner.addresses[0][1]}'
+        await web.TCPSite(runner, address, 0).start()
+        host = authority(address, runner.addresses[0][1])
         hosts.add(host)
         headers = {'Authorization': f'Bearer {TOKEN}'}
         try:
@@ -76,6 +76,60 @@ def test_a_foreign_origin_or_host_is_403(headers):
         assert value(backend, 'roll_rate_p') == 0.06
 
     serve(check)
+
+
+async def statuses(client, headers):
+    """Return the status of a change of a gain and of the page's file under `headers`."""
+    async with client.post('/api/gains', json={'gains': {'roll_rate_p': 0.07}}, headers=headers) as r:
+        change = r.status
+    async with client.get('/', headers=headers) as r:
+        return change, r.status
+
+
+def test_the_own_origin_is_the_page_with_and_without_tls():
+    async def check(client, _backend, url):
+        assert await statuses(client, {'Origin': url}) == (200, 200)
+        assert await statuses(client, {'Origin': url.replace('http:', 'https:')}) == (200, 200)
+        for foreign in (
+            f'{url}0',
+            f'{url}.evil.example',
+            url.replace('http:', 'ftp:'),
+            'https://',
+            'https://evil.example',
+        ):
+            assert await statuses(client, {'Origin': foreign}) == (403, 403)
+
+    serve(check)
+
+
+def test_a_proxy_serves_the_page_under_its_name_over_tls_only_when_it_was_named():
+    proxied = {'Host': 'quad.example', 'Origin': 'https://quad.example'}
+
+    async def named(client, _backend, url):
+        assert await statuses(client, proxied) == (200, 200)
+        async with client.ws_connect('/ws', protocols=(f'token.{TOKEN}',), headers=proxied) as socket:
+            assert await socket.receive_json()
+        assert await statuses(client, {'Origin': url}) == (200, 200)
+        for change in ({'Origin': 'http://quad.example'}, {'Origin': url}, {'Host': 'evil.example'}):
+            assert await statuses(client, proxied | change) == (403, 403)
+        assert await statuses(client, {'Origin': 'https://quad.example'}) == (403, 403)
+
+    async def closed(client, _backend, _url):
+        assert await statuses(client, proxied) == (403, 403)
+        assert await statuses(client, {'Host': '', 'Origin': 'https://'}) == (403, 403)
+
+    serve(named, proxy_host='quad.example')
+    serve(closed)
+
+
+@pytest.mark.skipif(not has_ipv6(), reason='this machine has no IPv6 loopback')
+def test_an_ipv6_address_stands_in_brackets():
+    async def check(client, _backend, url):
+        assert url.startswith('http://[::1]:')
+        assert await statuses(client, {'Origin': url}) == (200, 200)
+        assert await statuses(client, {'Origin': 'http://[::2]:80'}) == (403, 403)
+
+    serve(check, address='::1')
 
 
 @pytest.mark.parametrize(

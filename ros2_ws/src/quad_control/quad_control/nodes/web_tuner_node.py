@@ -22,7 +22,7 @@ from node_core.node import WorkspaceNode, reliable
 from quad_control import codec
 from quad_control.params import WebParams
 from quad_control.tuner_data import ACTIONS, STEP_ANGLE, STEP_TIME, TunerData
-from quad_control.web_server import Gain, Refused, TunerServer
+from quad_control.web_server import Gain, Refused, TunerServer, authority
 
 CONTROLLER, PILOT = 'attitude_controller', 'pilot'
 # An answer of another node that takes longer than this (s) counts as none.
@@ -69,15 +69,15 @@ class WebTunerNode(WorkspaceNode):
 
         async def begin() -> None:
             hosts: set[str] = set()
-            server = TunerServer(self, self._token, hosts)
+            server = TunerServer(self, self._token, hosts, params.proxy_host)
             self._data.history = server.history
             self._runner = web.AppRunner(server.app, access_log=None)
             await self._runner.setup()
             site = web.TCPSite(self._runner, params.host, params.port)
             await site.start()
             port = self._runner.addresses[0][1]
-            hosts.update(f'{name}:{port}' for name in {params.host, '127.0.0.1', 'localhost'})
-            self.url = f'http://{params.host}:{port}/#token={self._token}'
+            hosts.update(authority(name, port) for name in {params.host, '127.0.0.1', 'localhost'})
+            self.url = f'http://{authority(params.host, port)}/#token={self._token}'
 
         def work() -> None:
             asyncio.set_event_loop(self._loop)

@@ -185,7 +185,7 @@ function frame() {
 }
 
 function connect() {
-  const socket = new WebSocket(`ws://${location.host}/ws`, [`token.${token}`]);
+  const socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/ws`, [`token.${token}`]);
   socket.onmessage = event => receive(JSON.parse(event.data));
   socket.onclose = () => {
     $('arming').textContent = 'no contact';

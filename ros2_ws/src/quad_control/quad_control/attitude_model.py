@@ -9,7 +9,13 @@ import numpy as np
 
 from kalman_core.event_time import NANOSECONDS
 from kalman_core.health import Tally
-from kalman_core.rotation import euler_from_quat, quat_from_euler, quat_from_rotvec, rotvec_from_quat
+from kalman_core.rotation import (
+    euler_from_quat,
+    quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
+    rotvec_from_quat,
+)
 from quad_control import attitude_driven as driven
 from quad_control import attitude_published as published
 from quad_control import stillness
@@ -25,8 +31,10 @@ _SETTLING_TIME = 0.05
 _GAP, _HIDDEN_RATE, _HIDDEN_FORCE = 0.05, 1.0, 2.0
 # Specific force (m/s²) below which its direction is noise.
 _LEAST_FORCE = 0.1
-# A longer gap starts the tilt anew from the accelerometer (the bias is kept).
+# A longer gap starts the tilt anew from the accelerometer (bias and heading are kept).
 _LONG_GAP = 1.0
+# Variance of a heading that nothing is known of, any direction being as likely (rad²).
+_ANY_HEADING = math.pi**2 / 3.0
 # A frozen gyro says nothing: its rate error is that of a craft that turns anyhow within ±500 °/s.
 _FROZEN_VARIANCE = (math.radians(500.0) ** 2) / 3.0
 # chi-square, 2 degrees of freedom, probability 10⁻³: shown in diagnostics, nothing is rejected by it.
@@ -103,6 +111,7 @@ class AttitudeModel:
         if not s[_STARTED]:
             self._level(force)
         elif dt > _LONG_GAP:
+            self._turn(0.5 * (gyro[2] + s[_LAST][2]) - self.b[2], dt)
             self._start_anew(force)
             dt = p.period
         elif dt > _GAP:
@@ -141,11 +150,18 @@ class AttitudeModel:
         self.state[_STANDING] = 1.0  # until it moves: the first sample that does not fit ends it
         self.state[_REFERENCE] = force
 
+    def _turn(self, rate: float, gap: float) -> None:
+        """Carry the heading over a `gap` (s) in which only its mean `rate` (rad/s) can be guessed."""
+        turn = quat_from_rotvec(np.array([0.0, 0.0, rate * gap]))
+        self.q[:] = quat_multiply(turn, self.q)
+        self.state[_YAW] = math.remainder(self.state[_YAW] + rate * gap, 2.0 * math.pi)
+        self.P[2, 2] = min(self.P[2, 2] + (_HIDDEN_RATE * gap) ** 2, _ANY_HEADING)
+
     def _start_anew(self, force: np.ndarray) -> None:
-        """Begin again from the accelerometer after a long silence; the gyro bias is kept."""
+        """Begin again from the accelerometer after a long silence; gyro bias and heading are kept."""
         p = self.params
-        bias_block = self.P[3:6, 3:6].copy()
-        self.P[:] = np.diag([p.tilt_prior**2] * 3 + [0.0] * 3 + [p.velocity_prior**2] * 3)
+        bias_block, heading = self.P[3:6, 3:6].copy(), self.P[2, 2]
+        self.P[:] = np.diag([p.tilt_prior**2] * 2 + [heading] + [0.0] * 3 + [p.velocity_prior**2] * 3)
         self.P[3:6, 3:6] = bias_block
         self.v[:] = 0.0
         for _, covariance in self.axes:
@@ -163,7 +179,7 @@ class AttitudeModel:
             self._tilt(self.still[stillness.FORCE], stillness.force_spread(self.still))
 
     def _tilt(self, force: np.ndarray, spread: float) -> None:
-        """Set the tilt from a mean specific force and its spread (m/s²).
+        """Set the tilt from a mean specific force and its spread (m/s²); the heading stays.
 
         Both the spread and what the mean has more or less than gravity count as noise of the angle, against
         the prior of a level craft.
@@ -171,7 +187,10 @@ class AttitudeModel:
         size = math.sqrt(force @ force)
         noise = ((spread + abs(size - GRAVITY)) / max(size, _LEAST_FORCE)) ** 2
         share = self.params.tilt_prior**2 / (self.params.tilt_prior**2 + noise)
-        self.q[:] = quat_from_rotvec(share * rotvec_from_quat(driven.tilt_quaternion(*force)))
+        tilt = quat_from_rotvec(share * rotvec_from_quat(driven.tilt_quaternion(*force)))
+        # q = turn about the vertical · shortest tilt, so the turn's half angle has this tangent.
+        turn = quat_from_rotvec(np.array([0.0, 0.0, 2.0 * math.atan2(self.q[3], self.q[0])]))
+        self.q[:] = quat_multiply(turn, tilt)
 
     def _calibrate(self, gyro: np.ndarray, force: np.ndarray, dt: float) -> None:
         p = self.params
@@ -277,7 +296,7 @@ class AttitudeModel:
                 0.0 if paper else p.rate_variance,
             )
             nis += innovation * innovation / variance
-        self.state[_YAW] = math.remainder(self.state[_YAW] + step * (gyro[2] - self.b[2]), 2.0 * math.pi)
+        self.state[_YAW] = math.remainder(self.state[_YAW] + dt * (gyro[2] - self.b[2]), 2.0 * math.pi)
         return nis
 
     @property
@@ -315,14 +334,17 @@ class AttitudeModel:
         if p.filter != 'gyro_driven':
             (roll, rolling), (pitch, pitching) = self.axes[0][0], self.axes[1][0]
             q = quat_from_euler(roll, pitch, self.state[_YAW])
-            if p.filter == 'published':
-                rate = (float(rolling), float(pitching), rate[2])
             variance = (float(self.axes[0][1][0, 0]), float(self.axes[1][1][0, 0]), variance[2])
         if self.frozen:
             spread = (_FROZEN_VARIANCE,) * 3
         else:
             white = p.gyro_noise**2 / p.period  # of one sample; it is not in the state
             spread = (float(P[3, 3]) + white, float(P[4, 4]) + white, float(P[5, 5]) + white)
+        if p.filter == 'published':
+            # Its rate lags, and the gyro shows how far: E[error²] = (estimate - gyro)² + the gyro's variance.
+            lag = float(rolling) - rate[0], float(pitching) - rate[1]
+            spread = (spread[0] + lag[0] ** 2, spread[1] + lag[1] ** 2, spread[2])
+            rate = (float(rolling), float(pitching), rate[2])
         return Attitude(
             sample.stamp,
             (float(q[0]), float(q[1]), float(q[2]), float(q[3])),

@@ -293,3 +293,62 @@ def test_a_calibrated_accelerometer_offset_is_taken_from_the_published_force():
     sample = still(1)[0]
     expected = np.array(sample.force) - (0.1, -0.2, 0.3)
     assert prompt(f.on_imu(sample))[0].force == pytest.approx(tuple(expected))
+
+
+@pytest.mark.parametrize('name', ['published', 'gyro_driven'])
+def test_the_error_of_the_rate_is_what_its_variance_says_while_the_craft_swings(name):
+    rng = np.random.default_rng(5)
+    f = AttitudeFilter(AttitudeParams(filter=name, gyro_noise=1e-3))
+    sigma = 1e-3 / math.sqrt(0.005)
+    omega, amplitude = 2.0 * math.pi, 0.1
+    nees = []
+    for i in range(3000):
+        t = i * 0.005
+        swing = amplitude if i > 400 else 0.0
+        roll, true = swing * math.sin(omega * t), swing * omega * math.cos(omega * t)
+        gyro = np.array([true, 0.0, 0.0]) + sigma * rng.standard_normal(3)
+        force = GRAVITY * np.array([0.0, math.sin(roll), math.cos(roll)]) + 0.05 * rng.standard_normal(3)
+        (out,) = prompt(f.on_imu(ImuSample(START + i * STEP, tuple(gyro), tuple(force))))
+        if i > 1000:
+            nees.append((out.rate[0] - true) ** 2 / out.rate_variance[0])
+    assert 0.7 < np.mean(nees) < 1.3
+
+
+def turning(rng, seconds, bias=0.01):
+    """A craft on a turntable: yaw rate of 0.7 rad/s RMS with a time constant of 2 s. Samples, headings."""
+    n = round(seconds / 0.005)
+    rate = np.zeros(n)
+    decay = math.exp(-0.005 / 2.0)
+    for i in range(400, n):
+        rate[i] = decay * rate[i - 1] + 0.7 * math.sqrt(1.0 - decay**2) * rng.standard_normal()
+    samples = still(n, bias=(bias, bias, bias), seed=int(rng.integers(1 << 30)))
+    samples = [s._replace(rate=(s.rate[0], s.rate[1], s.rate[2] + r)) for s, r in zip(samples, rate)]
+    return samples, np.cumsum(rate) * 0.005
+
+
+@pytest.mark.parametrize('name', ['published', 'gyro_driven'])
+@pytest.mark.parametrize('gap', [1.2, 3.0, 9.0])
+def test_after_a_long_gap_the_heading_is_kept_as_well_as_its_variance_says(name, gap):
+    rng = np.random.default_rng(round(gap * 10))
+    squares, sigmas = [], []
+    for _ in range(12):
+        samples, heading = turning(rng, 6.0 + gap)
+        f = AttitudeFilter(AttitudeParams(filter=name))
+        after = 1000 + round(gap / 0.005)
+        (out, *_) = run(f, samples[:1000] + samples[after : after + 100])[1000 + 20 :]
+        yaw = euler_from_quat(np.array(out.quaternion))[2]
+        squares.append(math.remainder(yaw - heading[after + 20], 2.0 * math.pi) ** 2)
+        sigmas.append(math.sqrt(out.attitude_variance[2]))
+    assert np.mean(np.array(squares) / np.square(sigmas)) < 1.83  # chi-square 95 %, 12 runs
+    assert max(sigmas) < 1.9  # uniform over the circle: more would say nothing more
+    assert min(sigmas) > min(gap, 1.8) * 0.9
+
+
+def test_a_gap_of_a_craft_that_turns_steadily_costs_no_heading():
+    samples = still(1300)
+    turned = [s._replace(rate=(0.0, 0.0, 1.0)) if i > 400 else s for i, s in enumerate(samples)]
+    f = AttitudeFilter()
+    out = run(f, turned[:800] + turned[1100:])
+    assert euler_from_quat(np.array(out[-1].quaternion))[2] == pytest.approx(
+        math.remainder(899 * 0.005, 2.0 * math.pi), abs=0.1
+    )

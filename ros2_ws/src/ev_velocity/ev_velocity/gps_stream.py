@@ -19,6 +19,8 @@ from node_core.byte_frames import NMEA, UBX, MessageCutter
 KNOT = 1852.0 / 3600.0  # m/s
 NANOSECONDS = 1_000_000_000
 FIX_3D = 3
+# RMC sentences without any NAV-PVT among them after which they are believed: 3 s of 10 Hz.
+_UBX_PATIENCE = 30
 _NO_COURSE_SPEED = 0.5  # m/s, below which receivers leave the course out
 
 
@@ -41,7 +43,7 @@ class GpsStream:
 
     def __init__(self, nmea_sigma: float) -> None:
         self._nmea_sigma = nmea_sigma
-        self._ubx_seen = False
+        self._rmc_since_ubx = _UBX_PATIENCE
         self.accepted = 0
         self.rejected: Counter[str] = Counter()
         self._messages = MessageCutter(self.rejected, UBX, NMEA)
@@ -72,7 +74,7 @@ class GpsStream:
     def _ubx(self, message: Any) -> GpsSpeed | None:
         if message.identity != 'NAV-PVT':
             return None
-        self._ubx_seen = True
+        self._rmc_since_ubx = 0
         if not message.gnssFixOk or message.fixType not in (2, FIX_3D, 4):
             self.rejected['no fix'] += 1
             return None
@@ -85,8 +87,11 @@ class GpsStream:
         return GpsSpeed(math.hypot(east, north), east, north, sigma, utc)
 
     def _nmea(self, message: NMEAMessage) -> GpsSpeed | None:
+        if message.msgID != 'RMC':
+            return None
+        self._rmc_since_ubx += 1
         # A receiver that speaks UBX says the same in NMEA, but worse.
-        if message.msgID != 'RMC' or self._ubx_seen:
+        if self._rmc_since_ubx <= _UBX_PATIENCE:
             return None
         if message.status != 'A' or message.spd in ('', None):
             self.rejected['no fix'] += 1

@@ -18,7 +18,7 @@ class SimulatorParams:
     scenario: str = parameter('plant_good_road', 'drive to simulate', choices=(*COURSES, *SCENARIOS))
     seed: int = parameter(0, 'seed of sensors and road', minimum=0)
     duration: float = parameter(60.0, 'length of one drive', unit='s', minimum=1.0, maximum=3600.0)
-    loop: bool = parameter(True, 'start the next drive, with the next seed, when one is over')
+    loop: bool = parameter(True, 'start the drive again when it is over')
     can_interface: str = parameter(
         '', 'python-can interface on which the car speaks too (virtual, udp_multicast, socketcan, …)'
     )

@@ -86,6 +86,13 @@ def test_damage_is_counted_and_the_next_message_read():
     assert stream.rejected == {'checksum': 2, 'no message': 1}
 
 
+def test_sentences_are_believed_again_when_a_receiver_leaves_its_binary_messages_out():
+    stream = GpsStream(0.1)
+    assert [s.sigma for s in stream.feed(rmc() + pvt() + rmc())] == [0.1, pytest.approx(0.12)]
+    assert len(list(stream.feed(rmc() * 40))) == 11
+    assert len(list(stream.feed(pvt() + rmc()))) == 1
+
+
 def test_a_speed_has_the_arrival_of_its_first_byte():
     stream, data = GpsStream(0.1), rmc() + rmc('3.0')
     assert list(stream.feed(data[:20], 100)) == []

@@ -36,7 +36,6 @@ class VehicleSimulatorNode(WorkspaceNode):
         super().__init__('vehicle_simulator', SimulatorParams)
         self._params = params = self.parameters[SimulatorParams]
         self._bus = self._open_bus(params)
-        self._seed = params.seed
         self._by_topic: dict[str, Any] = {}
         for topic, kind in DriveMessages.topics:
             self._by_topic[topic], _ = self.publish_to(kind, topic.lstrip('/'))
@@ -59,7 +58,7 @@ class VehicleSimulatorNode(WorkspaceNode):
             raise ParameterError(text) from None
 
     def _begin(self) -> None:
-        drive = named(self._params.scenario, self._seed, self._params.duration)
+        drive = named(self._params.scenario, self._params.seed, self._params.duration)
         self._drive = drive
         turned = np.cumsum(drive.wheel_speed) / RATE / (2.0 * np.pi * 0.285) * REFERENCE_PULSES
         self._pulses = np.floor(turned) * (2.0 * np.pi / REFERENCE_PULSES)
@@ -85,7 +84,6 @@ class VehicleSimulatorNode(WorkspaceNode):
                     self.get_logger().info('the drive is over')
                     self._next = (2**63, '', None)
                     return
-                self._seed += 1
                 self._start = self._end + round(1e9 / RATE)
                 self._begin()
                 return
@@ -115,6 +113,6 @@ class VehicleSimulatorNode(WorkspaceNode):
         skipped = self._skipped - self._skipped_before
         self._skipped_before = self._skipped
         text = f'{skipped} messages left out: the machine was busy or asleep' if skipped else 'ok'
-        values = {'messages': self._sent, 'skipped': self._skipped, 'seed': self._seed}
+        values = {'messages': self._sent, 'skipped': self._skipped, 'seed': self._params.seed}
         name = self.get_fully_qualified_name().lstrip('/')
         return DiagnosticArray(status=[status(name, WARN if skipped else OK, text, values)])

@@ -34,6 +34,9 @@ CODES = {
 }
 # RINEX 2 has one letter per frequency; P2 and C2 are the same signal for a fix.
 _CODES_V2 = {1: ('C1', 'P1'), 2: ('C2', 'P2'), 5: ('C5',)}
+_END = ' \t\r\n\x1a'  # what may follow the last record; DOS programs end files with the last of these
+# Flags of an epoch record: lines of the header's kind follow; slips that were taken out of the phases follow.
+_EVENTS, _SLIPS = (2, 3, 4, 5), 6
 
 
 class RinexError(ValueError):
@@ -161,7 +164,7 @@ def read_observations(path: str | Path, bands: tuple[int, ...] = (1,)) -> Observ
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding='ascii', errors='replace').splitlines()
+        lines = path.read_text(encoding='ascii', errors='replace').rstrip(_END).splitlines()
     except OSError as error:
         raise RinexError(f'{path}: cannot be read ({error.strerror})') from error
     header, start = _read_header(path, lines)
@@ -219,7 +222,7 @@ def _epochs_v2(lines: list[str], start: int, header: _Header, bands: tuple[int, 
     while index < len(lines):
         line = lines[index]
         flag, count = int(line[28]), int(line[29:32])
-        if flag > 1:
+        if flag in _EVENTS:
             index += 1 + count
             continue
         y, mo, d, h, mi = (int(line[a : a + 3]) for a in (0, 3, 6, 9, 12))
@@ -228,6 +231,10 @@ def _epochs_v2(lines: list[str], start: int, header: _Header, bands: tuple[int, 
         name_lines = (count + 11) // 12
         names = ''.join(text[32:68].ljust(36) for text in lines[index : index + name_lines])
         index += name_lines
+        if flag == _SLIPS:
+            # Its records are laid out as observations, each as many lines long.
+            index += count * per_satellite
+            continue
         if index + count * per_satellite > len(lines):
             break  # the recording was cut off within this epoch
         rows = []

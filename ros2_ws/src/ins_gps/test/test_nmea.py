@@ -248,3 +248,71 @@ def test_pieces_of_any_size_give_the_same(sizes):
     out += decoder.rest()
     whole = decode(data)
     assert [s.stamp for s in out if isinstance(s, ReceiverFix)] == [s.stamp for s in whole[1]]
+
+
+# Sentences that manuals and the standard print, with the checksums printed there.
+PRINTED = (
+    b'$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n'
+    b'$GPGSA,A,3,04,05,,09,12,,,24,,,,,2.5,1.3,2.1*39\r\n'
+    b'$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n'
+    b'$GPVTG,054.7,T,034.4,M,005.5,N,010.2,K*48\r\n'
+)
+
+
+def test_the_sentences_that_manuals_print_are_read_as_they_are_explained():
+    decoder, (fix,), (velocity,) = decode(PRINTED)
+    assert not decoder.rejected
+    assert np.degrees(fix.geodetic[:2]) == pytest.approx((48.0 + 7.038 / 60.0, 11.0 + 31.0 / 60.0), abs=1e-9)
+    assert fix.geodetic[2] == pytest.approx(545.4 + 46.9)
+    assert fix.stamp == utc(1994, 3, 23, 12, 35, 19)
+    assert math.sqrt(fix.covariance[2, 2]) == pytest.approx(4.0 * 2.1)
+    assert math.hypot(*velocity.velocity) == pytest.approx(22.4 * KNOT)
+    assert math.degrees(math.atan2(velocity.velocity[1], velocity.velocity[0])) == pytest.approx(84.4)
+
+
+def test_the_time_that_a_manual_prints_dates_an_epoch():
+    zda = b'$GPZDA,201530.00,04,07,2002,00,00*60\r\n'
+    _, (fix,), _ = decode(zda, gga('201530.00'))
+    assert fix.stamp == utc(2002, 7, 4, 20, 15, 30)
+
+
+def test_sentences_of_the_maker_and_without_a_time_before_them_are_passed_over():
+    decoder, fixes, velocities = decode(
+        line('PUBX,00,081350.00,4717.113210,N,00833.915187,E'), line('PSRFRMC,1,2,3'), VTG, GSA
+    )
+    assert not fixes
+    assert not velocities
+    assert not decoder.rejected
+
+
+def test_a_date_that_no_calendar_has_leaves_the_one_before():
+    zda = line('GPZDA,092726.00,31,02,2031,00,00')
+    decoder, fixes, _ = decode(rmc(), gga(), zda, gga('092726.00'))
+    assert [fix.stamp for fix in fixes] == [utc(2024, 2, 29, 9, 27, 25), utc(2024, 2, 29, 9, 27, 26)]
+    assert not decoder.rejected['date unknown']
+
+
+def test_a_time_without_a_fix_gives_nothing_but_the_date():
+    _, fixes, velocities = decode(line('GPZDA,092725.00,05,07,2031,00,00'), gst())
+    assert not fixes
+    assert not velocities
+
+
+def test_time_that_goes_back_is_said():
+    decoder, fixes, _ = decode(rmc(), gga(), rmc('092700.00'), gga('092700.00'))
+    assert len(fixes) == 2
+    assert decoder.rejected == {'time went back': 1}
+
+
+def test_a_position_off_the_globe_is_refused_where_the_sentence_is_whole():
+    for place in ('9100.0,N,00833.9,W', '4717.1,N,18100.0,E', ',N,00833.9,W'):
+        decoder, fixes, _ = decode(rmc(), line(f'GPGGA,092725.00,{place},1,08,1.0,10,M,1,M,,'))
+        assert not fixes
+        assert decoder.rejected['position that cannot be'] == 1
+
+
+@pytest.mark.parametrize(('mode', 'moves'), [('A', True), ('D', True), ('E', False), ('N', False)])
+def test_vtg_counts_only_where_it_is_measured(mode, moves):
+    _, _, velocities = decode(rmc()[:0], gga(), line(f'GPVTG,60.0,T,,M,10.0,N,18.52,K,{mode}'),
+                              reference=lambda: utc(2024, 1, 1, 12, 0, 0))  # fmt: skip
+    assert bool(velocities) == moves

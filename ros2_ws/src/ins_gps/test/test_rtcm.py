@@ -300,6 +300,68 @@ def test_random_bytes_raise_nothing(data):
     decode(data, EPHEMERIS, data, msm('G', 7, TOW, [CELL]), data)
 
 
+# The example of RTCM 10403.1, section 4.2: station 2003.
+PRINTED_1005 = bytes.fromhex('D300133ED7D30202980EDEEF34B4BD62AC0941986F33360B98')
+
+
+def test_the_printed_message_is_read_as_it_is_explained():
+    position = (1114104.5999, -4850729.7108, 3975521.4643)
+    assert station(position, identity=2003)[3:6] == PRINTED_1005[3:6]
+    _, base = RtcmDecoder().feed(PRINTED_1005 + EPHEMERIS + msm('G', 7, TOW, [CELL]))
+    np.testing.assert_allclose(ecef_from_geodetic(*base.geodetic), position, atol=1e-6)
+
+
+def test_an_empty_message_keeps_the_connection_and_nothing_else():
+    decoder, epochs = decode(EPHEMERIS, Bits().frame(), msm('G', 7, TOW, [CELL]), Bits().frame())
+    assert len(epochs) == 1
+    assert not decoder.rejected
+
+
+def test_signals_and_satellites_that_are_not_known_cost_nobody_else():
+    cells = [CELL | {'code': 'reserved'}, CELL | {'satellite': 40}, CELL]
+    assert set(rows_of(msm('G', 7, TOW, cells))) == {(0, 7, 1)}
+    galileo = [CELL | {'code': code} for code in ('1Z', '8Q', '1C')]
+    _, (epoch,) = decode(ephemeris_galileo(ORBIT, WEEK_NUMBER, 1046), msm('E', 7, TOW, galileo))
+    assert epoch.rows[:, :3].tolist() == [[1.0, 7.0, 1.0]]
+
+
+def test_only_the_bands_asked_for_are_given():
+    cells = [CELL, CELL | {'code': '2X'}, CELL | {'code': '5X'}]
+    for bands in ((1,), (2, 5), EVERYTHING):
+        _, (epoch,) = decode(EPHEMERIS, msm('G', 7, TOW, cells), bands=bands)
+        assert {row[2] for row in epoch.rows} == set(bands) - {7}
+
+
+def test_a_signal_of_which_nothing_was_measured_has_no_row():
+    cells = [CELL, {'satellite': 7, 'code': '5Q'}]
+    assert set(rows_of(msm('G', 7, TOW, cells))) == {(0, 7, 1)}
+
+
+def test_a_time_that_no_week_has_is_refused():
+    decoder, epochs = decode(EPHEMERIS, msm('G', 7, WEEK * 1000, [CELL]), msm('G', 7, TOW, [CELL]))
+    assert len(epochs) == 1
+    assert decoder.rejected['1077: unreadable'] == 1
+
+
+def test_an_ephemeris_that_is_repeated_is_kept_once_and_one_of_no_orbit_never():
+    unready = ephemeris_1019(ORBIT | {'satellite': 9, 'sqrt_a': 0.0}, WEEK_NUMBER)
+    decoder, _ = decode(EPHEMERIS, msm('G', 7, TOW, [CELL]), EPHEMERIS, unready, EPHEMERIS)
+    assert len(decoder.ephemerides) == 1
+    assert decoder.rejected == {'ephemeris of no orbit': 1}
+
+
+def test_a_good_ephemeris_takes_back_the_doubt_of_stale_ones():
+    stale = [ephemeris_1019(ORBIT | {'satellite': s}, WEEK_NUMBER - 3) for s in range(10, 16)]
+    messages = [m for one in stale for m in (one, ephemeris_1019(ORBIT | {'issue': 34}, WEEK_NUMBER))]
+    decoder, epochs = decode(EPHEMERIS, msm('G', 7, TOW, [CELL]), *messages, msm('G', 7, TOW + 1000, [CELL]))
+    assert epochs[1].stamp - epochs[0].stamp == NANOSECONDS
+    assert decoder.rejected == {'ephemeris of another week': 6}
+
+
+def test_reserved_lock_times_say_nothing():
+    assert lock_fine(705) == lock_fine(1023) == (0.0, math.inf)
+
+
 # --- a recorded receiver, sent as RTCM -----------------------------------------------------------------
 
 LETTERS = 'GE'

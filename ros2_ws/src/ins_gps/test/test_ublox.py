@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from pyubx2 import GET, UBXMessage
 
-from ins_gps.broadcast import BroadcastStore
+from ins_gps.broadcast import BroadcastStore, galileo_accuracy, gps_accuracy
 from ins_gps.constants import GPS_EPOCH_UNIX, WEEK
 from ins_gps.observations import EpochBuilder
 from ins_gps.orbit import COLUMN
@@ -190,6 +190,25 @@ def test_words_that_are_no_navigation_message_are_refused():
     assert len(store.ephemerides) == 0
 
 
+def test_of_two_signals_of_a_band_the_one_with_a_code_is_taken_and_other_bands_are_left_out():
+    pilot, data = {'sigId': 6, 'prMes': 2.1e7}, {'sigId': 7, 'prMes': 2.2e7}
+    for cells, code in (((pilot, data), 2.1e7), ((pilot | {'prValid': 0}, data), 2.2e7)):
+        (epoch,) = read(rawx(1.0, *cells))
+        assert epoch.rows[:, 2:4].tolist() == [[5.0, code]]
+    epoch = RawxReader((1,)).read(rawx(1.0, {}, data, {'sigId': 12})[6:-2])
+    assert epoch.rows[:, 2].tolist() == [1.0]
+
+
+def test_a_subframe_that_is_none_is_counted():
+    words = {f'dwrd_{i:02d}': 0 for i in range(1, 11)}
+    decoder = UbloxDecoder()
+    for gnss, signal in ((0, 0), (2, 1), (6, 0), (0, 3)):
+        fields = {'gnssId': gnss, 'svId': 7, 'sigId': signal, 'numWords': 10, 'version': 2} | words
+        assert not list(decoder.feed(UBXMessage('RXM', 'RXM-SFRBX', GET, **fields).serialize()))
+    # GLONASS and L2C carry no ephemeris that is used here.
+    assert decoder.rejected == {'navigation message': 2}
+
+
 @pytest.fixture(scope='module')
 def spirent(recordings):
     folder = recordings / 'spirent_ubx'
@@ -277,3 +296,10 @@ def test_recorded_satellites_are_where_the_rinex_path_has_them(decoded, spirent)
                 assert abs(mine[key][15] - row[15]) < 1e-14
                 compared += 1
     assert compared > 300
+
+
+def test_accuracies_are_those_of_the_interface_documents():
+    # IS-GPS-200N 20.3.3.3.1.3 and OS SIS ICD table 91.
+    assert [gps_accuracy(n) for n in (0, 1, 3, 6, 7, 14, 15)] == [2.0, 2.8, 5.7, 16.0, 32.0, 4096.0, 0.0]
+    listed = {0: 0.0, 49: 0.49, 50: 0.5, 75: 1.0, 100: 2.0, 125: 6.0, 126: 0.0, 255: 0.0}
+    assert {n: galileo_accuracy(n) for n in listed} == pytest.approx(listed)

@@ -203,7 +203,10 @@ class UbloxParams(StreamParams):
         'first', 'first: L1 and E1; all: L2, L5, E5a and E5b too', choices=('first', 'all')
     )
     topic: str = parameter('gnss/observations', 'where the epochs go')
-    fix_topic: str = parameter('gnss/fix', "where the receiver's own fixes go")
+    # Not the estimator's gnss/fix: beside the same receiver's raw observations its fix says nothing new.
+    fix_topic: str = parameter(
+        'gnss/fix_receiver', "where the receiver's own fixes go; gnss/fix in place of raw observations"
+    )
     time_scale: str = parameter(
         'utc', 'header stamps: UTC, or GPS time written as Unix seconds', choices=('gps', 'utc')
     )

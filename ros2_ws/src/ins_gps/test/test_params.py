@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from ins_gps.codec import INS_GPS_PORTS
 from ins_gps.params import (
     BaseParams,
     FilterParams,
@@ -39,3 +40,16 @@ def test_bad_parameters_are_named():
     for date in ('29.2.2024', '2023-02-29', 'today'):
         with pytest.raises(ParameterError, match=f"'date' is '{date}'"):
             build(NmeaParams, {'date': date})
+
+
+@pytest.mark.parametrize('driver', [UbloxParams, RtcmParams, RinexParams])
+def test_no_driver_of_raw_observations_sends_a_fix_to_the_estimator_beside_them(driver):
+    """A receiver's fix is made of its observations: taken too, they would count twice."""
+    heard = {port.topic for port in INS_GPS_PORTS.inputs}
+    defaults = driver()
+    spoken = {
+        getattr(defaults, name)
+        for name in ('topic', 'fix_topic', 'position_topic')
+        if hasattr(defaults, name)
+    }
+    assert spoken & heard == {'gnss/observations'}

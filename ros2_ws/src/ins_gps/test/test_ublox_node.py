@@ -35,7 +35,7 @@ def pvt(second):
 
 
 def test_a_lost_server_is_named_and_connected_again(graph):
-    fixes = graph.collect(FIX, 'gnss/fix')
+    fixes = graph.collect(FIX, 'gnss/fix_receiver')
     diagnostics = graph.collect('diagnostic_msgs/msg/DiagnosticArray', '/diagnostics')
     stop, lost = threading.Event(), threading.Event()
     with socket.create_server(('127.0.0.1', 0)) as server:

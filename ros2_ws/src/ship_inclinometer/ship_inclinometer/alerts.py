@@ -23,8 +23,9 @@ _TEXTS = {
     'roll_alarm': 'ROLL AMPLITUDE',
     'pitch_alarm': 'TRIM ALARM',
     'resonance_warning': 'ROLL RESONANCE',
-    'sensor_alarm': 'NO ATTITUDE',
+    'sensor_alarm': 'NO ATTITUDE/ROLL',
 }
+_LOST = 'monitor_lost'
 # The list of alerts is repeated this often (s); two of its longest entries fit 82 characters.
 _LIST_EVERY = 30.0
 _ENTRIES = 2
@@ -64,16 +65,23 @@ class AlertReporter:
             )
             for i, rule in enumerate(RULES)
         }
+        # Not of the monitor's making: that it is silent, and whether the bridge has acknowledged that.
+        self._alerts[_LOST] = _Alert(_FIRST_IDENTIFIER + len(RULES), 'A', 'ALARMS LOST')
+        self._lost_known = False
         self._message = 0
         self._list = 0
         self._next_list = 0
 
-    def sentences(self, now: int, alarms: Mapping[str, float]) -> list[str]:
-        """Return ALF for each alert that has changed at `now` (ns), and ALC after a change or in its turn."""
+    def sentences(self, now: int, alarms: Mapping[str, float] | None) -> list[str]:
+        """Return ALF for each alert that has changed at `now` (ns), and ALC after a change or in its turn.
+
+        Nothing in `alarms`: none were told yet. None: the monitor is silent, which is an alert itself; what
+        stood then goes on standing, since nobody knows of an end.
+        """
         out = []
         for name, alert in self._alerts.items():
-            state = _state(name, alarms)
-            if alarms and state != alert.state:
+            state = self._state(name, alarms)
+            if state != alert.state:
                 if alert.state == 'N':
                     alert.instance = alert.instance % 999999 + 1
                     alert.revision = 0
@@ -83,6 +91,14 @@ class AlertReporter:
             self._next_list = now + round(_LIST_EVERY * _SECOND)
             out += self._alc()
         return out
+
+    def _state(self, name: str, alarms: Mapping[str, float] | None) -> str:
+        if name != _LOST:
+            return _state(name, alarms) if alarms else self._alerts[name].state
+        if alarms is not None:
+            self._lost_known = False
+            return 'N'
+        return 'A' if self._lost_known else 'V'
 
     def _alf(self, alert: _Alert) -> str:
         self._message = (self._message + 1) % 10
@@ -116,11 +132,17 @@ class AlertReporter:
         if instance in ('', str(alert.instance)):
             if command == 'Q':
                 return None, [self._alf(alert)]
-            if command == 'A' and alert.state in 'VSU':
-                return Command('acknowledge', name), []
-            if command == 'S' and alert.state == 'V':
-                return Command('silence', name), []
-        # Responsibility is not handed over, and what is over or known already is not acknowledged again.
+            if name == _LOST:
+                if command == 'A' and alert.state == 'V':
+                    self._lost_known = True
+                    return None, []
+            elif self._alerts[_LOST].state == 'N':
+                if command == 'A' and alert.state in 'VSU':
+                    return Command('acknowledge', name), []
+                if command == 'S' and alert.state == 'V':
+                    return Command('silence', name), []
+        # Responsibility is not handed over, what is over or known already is not acknowledged again, and
+        # without the monitor there is nobody to carry anything out.
         refused = (_time(now), self._manufacturer, identifier, instance, command)
         return None, [sentence(self._talker, 'ARC', *refused)]
 

@@ -96,6 +96,14 @@ class AlarmParams:
     latching: bool = parameter(True, 'an alarm that is over stays until it is acknowledged', live=True)
     event_log: str = parameter(LOG_FILE, 'event log')
 
+    def __post_init__(self) -> None:
+        lowest = min(self.heel_warning, self.heel_alarm, self.roll_alarm, self.pitch_alarm)
+        if self.hysteresis >= lowest:
+            raise ParameterError(
+                f"parameter 'hysteresis' is {self.hysteresis:g} °, allowed: under every threshold "
+                f'(the lowest is {lowest:g} °), or its alarm would never end'
+            )
+
 
 @dataclass(frozen=True)
 class DisplayParams:

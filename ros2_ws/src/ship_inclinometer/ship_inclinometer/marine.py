@@ -10,9 +10,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ship_inclinometer.samples import INVALID, Angles
+from ship_inclinometer.samples import INVALID, VALIDITY, Angles, Validity
 
-STALE = 1.0  # s, an attitude older than that is shown as invalid
+STALE = 1.0  # s, an attitude further off than that, into the past or the future, is shown as invalid
+# Roll analysis and alarms: three times the longest period at which they may be published (s).
+SLOW_STALE = 3.0
 # How an offset of heel acts on what the roll analysis says.
 _HEEL_SIGN = {
     'heel': 1.0,
@@ -43,7 +45,10 @@ class Picture:
     reason: str = 'no attitude'
     heading_valid: bool = False
     rolling: dict[str, float] = field(default_factory=dict)
+    rolling_stamp: int = 0
     peak_reset: int = 0
+    alarms: dict[str, float] = field(default_factory=dict)
+    alarms_stamp: int = 0
     # Set by the operator: degrees added to heel, trim and heading; time constant (s) of `shown_roll`.
     offsets: tuple[float, float, float] = (0.0, 0.0, 0.0)
     filter_time: float = 0.0
@@ -62,7 +67,8 @@ class Picture:
         roll, pitch, yaw = (math.degrees(a) for a in angles.angles)
         self.roll = roll + self.offsets[0]
         self.pitch = -pitch + self.offsets[1]
-        self.heading = (90.0 - yaw + self.offsets[2]) % 360.0
+        # The remainder of a negative number near zero rounds to 360 itself.
+        self.heading = (90.0 - yaw + self.offsets[2]) % 360.0 % 360.0
         if math.isfinite(self.shown_roll) and 0.0 < since < STALE and self.filter_time > 0.0:
             self.shown_roll += (1.0 - math.exp(-since / self.filter_time)) * (self.roll - self.shown_roll)
         else:
@@ -70,6 +76,17 @@ class Picture:
         rates = [math.degrees(r) for r in angles.rates]
         self.roll_rate, self.pitch_rate, self.turn_rate = rates[0], -rates[1], -60.0 * rates[2]
         self.sigma_roll, self.sigma_pitch, self.sigma_heading = (math.degrees(s) for s in angles.sigmas)
+
+    def take_validity(self, validity: Validity) -> None:
+        """Take the validity; a level that is none counts as invalid."""
+        known = 0 <= validity.validity < len(VALIDITY)
+        self.validity = validity.validity if known else INVALID
+        self.reason = validity.reason
+        self.heading_valid = validity.heading_valid
+
+    def take_alarms(self, stamp: int, numbers: Mapping[str, float]) -> None:
+        """Take what the alarm monitor says."""
+        self.alarms, self.alarms_stamp = dict(numbers), stamp
 
     def take_roll(self, stamp: int, numbers: dict[str, float]) -> None:
         """Take what the roll analysis says, by ROLL_NAMES; angles become degrees."""
@@ -82,20 +99,40 @@ class Picture:
             'mean_heel',
         )
         self.rolling = {n: math.degrees(v) if n in in_degrees else v for n, v in numbers.items()}
-        self.peak_reset = stamp - round(self.rolling.get('peak_age', 0.0) * 1e9)
+        self.rolling_stamp = stamp
+        age = self.rolling.get('peak_age', 0.0) * 1e9
+        self.peak_reset = stamp - round(age) if 0.0 <= age < stamp else 0
 
-    def number(self, name: str) -> float:
-        """Return a number of the roll analysis, NaN where there is none; heel with its offset."""
-        value = self.rolling.get(name, math.nan)
+    def rolling_known(self, now: int) -> bool:
+        """Return whether the roll analysis has spoken lately at `now` (ns)."""
+        return bool(self.rolling) and _fresh(now, self.rolling_stamp, SLOW_STALE)
+
+    def alarms_known(self, now: int) -> bool:
+        """Return whether the alarm monitor has spoken lately at `now` (ns)."""
+        return bool(self.alarms) and _fresh(now, self.alarms_stamp, SLOW_STALE)
+
+    def shown_alarms(self, now: int) -> dict[str, float]:
+        """Return what the alarm monitor said, nothing when that is old."""
+        return self.alarms if self.alarms_known(now) else {}
+
+    def number(self, name: str, now: int) -> float:
+        """Return a number of the roll analysis, NaN where there is none or it is old; heel with offset."""
+        value = self.rolling.get(name, math.nan) if self.rolling_known(now) else math.nan
         offset = self.offsets[0] * _HEEL_SIGN.get(name, 0.0)
         return max(value + offset, 0.0) if offset and name in _ONE_SIDED else value + offset
 
     def age(self, now: int) -> float:
-        """Return the age [s] of the attitude at `now` (ns)."""
-        return (now - self.stamp) * 1e-9 if self.stamp else math.inf
+        """Return the age [s] of the attitude at `now` (ns), infinite for one out of a future that is none."""
+        age = (now - self.stamp) * 1e-9
+        return age if self.stamp and age >= -STALE else math.inf
 
     def shown_validity(self, now: int) -> tuple[int, str]:
         """Return validity and reason at `now`: silence is invalid."""
         if not self.age(now) <= STALE:
             return INVALID, 'attitude is stale'
         return self.validity, self.reason
+
+
+def _fresh(now: int, stamp: int, limit: float) -> bool:
+    """Return whether `stamp` is within `limit` (s) of `now`: after a step of the clock it may lie ahead."""
+    return abs(now - stamp) * 1e-9 <= limit

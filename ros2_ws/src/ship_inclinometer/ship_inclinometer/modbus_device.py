@@ -96,8 +96,9 @@ class ModbusDevice:
         self._discrete |= discrete
         self._discrete['unlocked'] = self.unlocked
         bits = [self._discrete[name] for name in m.DISCRETE]
-        status = sum(1 << i for i, bit in enumerate(bits) if bit)
-        words = m.input_words({**values, 'sequence': self._sequence, 'status': status})
+        more, status = divmod(sum(1 << i for i, bit in enumerate(bits) if bit), 1 << 16)
+        state = {'sequence': self._sequence, 'status': status, 'status_more': more}
+        words = m.input_words({**values, **state})
         await self._core.async_setValues(self.unit, 2, 0, bits)
         await self._core.async_setValues(self.unit, 4, 0, words)
 
@@ -247,7 +248,8 @@ class ModbusDevice:
             except ValueError:
                 raise Refusal(ILLEGAL_VALUE) from None
         merged = self.settings | changes
-        if merged['heel_warning'] > merged['heel_alarm']:
+        lowest = min(merged[name] for name in m.THRESHOLDS)
+        if merged['heel_warning'] > merged['heel_alarm'] or merged['hysteresis'] >= lowest:
             raise Refusal(ILLEGAL_VALUE)
         self._take(merged, changes, save, who)
 

@@ -14,29 +14,31 @@ from dataclasses import dataclass
 
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-MAP_VERSION = 1
+MAP_VERSION = 2
 # To find out the word order of a PLC: these must read as printed.
 CHECK_UINT32 = 0x12345678
 CHECK_FLOAT32 = 1234.5
 UNKNOWN_INT16, UNKNOWN_UINT16 = 0x8000, 0xFFFF
+_LARGEST_FLOAT32 = 3.4028234e38
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One value of the input block: `scale` units per count for integers."""
+    """One value of the input block: `scale` units per count for integers; `turn`: it begins anew there."""
 
     name: str
     kind: str
     unit: str
     scale: float
     text: str
+    turn: float = 0.0
 
 
 def _measured() -> tuple[Field, ...]:
     names = (
         ('roll', 'i16', '°', 0.01, 'heel, positive to starboard'),
         ('pitch', 'i16', '°', 0.01, 'trim, positive bow up'),
-        ('heading', 'u16', '°', 0.01, 'clockwise from north'),
+        ('heading', 'u16', '°', 0.01, 'clockwise from north', 360.0),
         ('roll_period', 'u16', 's', 0.01, 'between the last two maxima on the same side'),
         ('amplitude_port', 'u16', '°', 0.01, 'last maximum to port'),
         ('amplitude_starboard', 'u16', '°', 0.01, 'last maximum to starboard'),
@@ -61,9 +63,10 @@ INPUT_FIELDS: tuple[Field, ...] = (
     Field('utc_milliseconds', 'u16', 'ms', 1.0, ''),
     Field('age', 'u16', 'ms', 1.0, 'since the measurement'),
     *MEASURED,
-    *(Field(f'{f.name}_float', 'f32', f.unit, 1.0, f'{f.text}, float32') for f in MEASURED),
+    *(Field(f'{f.name}_float', 'f32', f.unit, 1.0, f'{f.text}, float32', f.turn) for f in MEASURED),
     Field('check_uint32', 'u32', '', 1.0, 'always 0x12345678'),
     Field('check_float32', 'f32', '', 1.0, 'always 1234.5'),
+    Field('status_more', 'u16', '', 1.0, 'bit n is discrete input 16 + n'),
     Field('sequence_copy', 'u16', '', 1.0, 'equals `sequence` unless a read was torn'),
 )
 _WORDS = {'i16': 1, 'u16': 1, 'u32': 2, 'f32': 2}
@@ -97,6 +100,8 @@ DISCRETE = (
     'sensor_alarm',
     'stop_flag',
     'unlocked',
+    'alarms_unknown',
+    'roll_unknown',
 )
 COILS = ('acknowledge', 'peak_reset', 'log_mark', 'stop_set', 'stop_clear')
 
@@ -127,6 +132,8 @@ SETTINGS = (
     Setting('heading_offset', '°', 0.01, -180.0, 180.0, 0.0, 'added to heading'),
     Setting('display_filter', 's', 0.01, 0.0, 5.0, 0.0, 'time constant of the displayed heel'),
 )
+# An alarm ends by the hysteresis below its threshold, which therefore must be the smaller one.
+THRESHOLDS = ('heel_warning', 'heel_alarm', 'roll_alarm', 'pitch_alarm')
 UNLOCK, SAVE, SETTINGS_CRC, REMAINING = 0, 1, 2, 3
 FIRST_SETTING = 10
 SAVE_COMMAND = 0x5A5A
@@ -137,7 +144,11 @@ WRITABLE = HOLDING - {SETTINGS_CRC, REMAINING}
 def encode_field(field: Field, value: float) -> list[int]:
     """Return the words of one value; out of range counts as unknown."""
     if field.kind == 'f32':
-        high, low = struct.unpack('>HH', struct.pack('>f', value))
+        if not abs(value) < _LARGEST_FLOAT32:
+            value = math.nan
+        (single,) = struct.unpack('>f', struct.pack('>f', value))
+        # Rounded to 32 bits, a heading just under 360 has become 360.
+        high, low = struct.unpack('>HH', struct.pack('>f', single % field.turn if field.turn else single))
         return [high, low]
     if field.kind == 'u32':
         high, low = divmod(int(value) & 0xFFFFFFFF, 0x10000)
@@ -146,6 +157,8 @@ def encode_field(field: Field, value: float) -> list[int]:
     if not math.isfinite(value):
         return [UNKNOWN_INT16 if signed else UNKNOWN_UINT16]
     count = round(value / field.scale)
+    if field.turn:
+        count %= round(field.turn / field.scale)
     if signed:
         return [count & 0xFFFF] if -0x7FFF <= count <= 0x7FFF else [UNKNOWN_INT16]
     return [count] if 0 <= count < 0xFFFF or (field.scale == 1.0 and count == 0xFFFF) else [UNKNOWN_UINT16]

@@ -43,11 +43,10 @@ def hrm(talker: str, picture: Picture, now: int) -> str:
     """Return heel, roll period, amplitudes, status and peaks."""
     validity, _ = picture.shown_validity(now)
     valid = validity != INVALID
-    roll = picture.number
     names = ('roll_period', 'amplitude_port', 'amplitude_starboard')
-    measured = [number(roll(n)) if valid else '' for n in names]
+    measured = [number(picture.number(n, now)) if valid else '' for n in names]
     reset = ['', '', '']
-    peaks = [number(roll('peak_port')), number(roll('peak_starboard'))]
+    peaks = [number(picture.number(n, now)) for n in ('peak_port', 'peak_starboard')]
     if picture.peak_reset > 0 and peaks[0]:
         moment = datetime.fromtimestamp(picture.peak_reset * 1e-9, UTC)
         reset = [f'{moment:%H%M%S}', f'{moment:%d}', f'{moment:%m}']

@@ -174,7 +174,9 @@ class RollAnalysis:
         if self._side == 0:
             self._side = side
         if len(self._half) > 2 and t - self._half[0][0] > self.params.longest_period:
-            # Half a cycle never lasts a whole longest period: the ship lies still, or on another list.
+            # Half a cycle never lasts a whole longest period: the ship lies still, or on another list, of
+            # which the maxima so far know nothing.
+            self._midpoints.clear()
             del self._half[: len(self._half) // 2]
         reach = heel * self._side
         if reach > self._top[1]:
@@ -265,15 +267,15 @@ class RollAnalysis:
         status = ROLLING if rolling else NO_ROLL
         if not self._source_valid:
             status = NOT_VALID
-        port, starboard = self._last.get(-1), self._last.get(1)
+        port, starboard = self._amplitude(-1, t), self._amplitude(1, t)
         synchronous, parametric = self._resonances() if status == ROLLING else (False, False)
         return RollState(
             stamp,
             status,
             heel,
             newest.period if newest is not None and status == ROLLING else math.nan,
-            max(-port.heel, 0.0) if port is not None and rolling else math.nan,
-            max(starboard.heel, 0.0) if starboard is not None and rolling else math.nan,
+            port if rolling else math.nan,
+            starboard if rolling else math.nan,
             self._peaks[0],
             self._peaks[1],
             self._peak_reset,
@@ -283,6 +285,13 @@ class RollAnalysis:
             synchronous,
             parametric,
         )
+
+    def _amplitude(self, side: int, t: float) -> float:
+        """Return the last maximum to `side`, NaN when it is not of the present rolling any more."""
+        last = self._last.get(side)
+        if last is None or t - last.time > self.params.longest_period:
+            return math.nan
+        return max(side * last.heel, 0.0)
 
     def _resonances(self) -> tuple[bool, bool]:
         """Return warnings of synchronous and of parametric roll (MSC.1/Circ.1228, section 2).

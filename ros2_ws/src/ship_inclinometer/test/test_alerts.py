@@ -104,3 +104,26 @@ def test_what_is_no_command_for_us_is_passed_over(line):
 @given(st.text(max_size=100))
 def test_no_line_raises(line):
     assert AlertReporter('II', 'ABC').take(line, NOW) == (None, [])
+
+
+def test_a_monitor_that_falls_silent_is_an_alert_and_ends_none():
+    reporter = AlertReporter('II', 'ABC')
+    reporter.sentences(NOW, alarms('heel_alarm', unacknowledged=['heel_alarm']))
+    lines = reporter.sentences(NOW + SECOND, None)
+    (lost,) = parsed(lines, 'ALF')
+    assert (lost.alertid, lost.alertstate, lost.alertpriority) == ('10007', 'V', 'A')
+    (listed,) = parsed(lines, 'ALC')
+    assert listed.numAlerts == 2
+    # Nobody is there to acknowledge the heel alarm; that the monitor is lost can be acknowledged.
+    command, answers = reporter.take(acn(10002), NOW)
+    assert command is None
+    assert len(parsed(answers, 'ARC')) == 1
+    assert reporter.take(acn(10007), NOW) == (None, [])
+    assert len(parsed(reporter.take(acn(10007, command='S'), NOW)[1], 'ARC')) == 1
+    (known,) = parsed(reporter.sentences(NOW + 2 * SECOND, None), 'ALF')
+    assert known.alertstate == 'A'
+    assert reporter.sentences(NOW + 3 * SECOND, None) == []
+    back = parsed(reporter.sentences(NOW + 4 * SECOND, alarms()), 'ALF')
+    assert [(m.alertid, m.alertstate) for m in back] == [('10002', 'N'), ('10007', 'N')]
+    again = parsed(reporter.sentences(NOW + 5 * SECOND, None), 'ALF')
+    assert [(m.alertid, m.alertstate) for m in again] == [('10007', 'V')]

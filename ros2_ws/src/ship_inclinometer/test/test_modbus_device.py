@@ -239,3 +239,36 @@ def test_no_pdu_raises_and_none_changes_a_locked_device(pdu):
 def test_the_readme_holds_the_map_of_the_code():
     readme = (Path(__file__).parents[1] / 'README.md').read_text()
     assert f'<!-- modbus-map -->\n{m.map_markdown()}\n<!-- end -->' in readme
+
+
+@pytest.mark.parametrize('heading', [0.0, 359.994, 359.996, 359.99999999, 360.0])
+def test_a_heading_is_never_360(heading):
+    field, single = (next(f for f in m.INPUT_FIELDS if f.name == n) for n in ('heading', 'heading_float'))
+    assert m.encode_field(field, heading)[0] in (0, 35999)
+    assert 0.0 <= struct.unpack('>f', struct.pack('>2H', *m.encode_field(single, heading)))[0] < 360.0
+
+
+@pytest.mark.parametrize('value', [1e39, -1e300, float('inf'), float('nan')])
+def test_what_no_float32_holds_is_unknown(value):
+    single = next(f for f in m.INPUT_FIELDS if f.name == 'roll_float')
+    read = struct.unpack('>f', struct.pack('>2H', *m.encode_field(single, value)))[0]
+    assert read != read
+
+
+def test_alarms_and_roll_that_nobody_tells_are_said_to_be_unknown():
+    device, _, _ = make()
+    times = {'utc_seconds': 0.0, 'utc_milliseconds': 0.0, 'age': 0.0}
+    asyncio.run(device.update(times, {'valid': True, 'alarms_unknown': True, 'roll_unknown': True}))
+    assert ask(device, 2, *words(16, 2)) == bytes([2, 1, 3])
+    assert ask(device, 4, *words(m.INPUT_ADDRESS['status'], 1)) == bytes([4, 2, 0, 1])
+    assert ask(device, 4, *words(m.INPUT_ADDRESS['status_more'], 1)) == bytes([4, 2, 0, 3])
+
+
+def test_a_hysteresis_that_no_alarm_could_end_with_is_refused():
+    device, _, _ = make()
+    unlock(device)
+    hysteresis = m.FIRST_SETTING + [s.name for s in m.SETTINGS].index('hysteresis')
+    assert ask(device, 6, *words(hysteresis, 80)) == bytes([0x86, 3])
+    assert ask(device, 6, *words(hysteresis, 79))[0] == 6
+    # Nor may a threshold come down upon the hysteresis.
+    assert ask(device, 6, *words(m.FIRST_SETTING + 3, 79)) == bytes([0x86, 3])

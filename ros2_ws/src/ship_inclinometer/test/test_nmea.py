@@ -6,7 +6,7 @@ import pytest
 
 from ship_inclinometer.marine import Picture
 from ship_inclinometer.nmea import all_sentences, checksum, heading, hrm, rot, sentence, xdr
-from ship_inclinometer.samples import INVALID, VALID, Angles
+from ship_inclinometer.samples import INVALID, VALID, Angles, Validity
 
 NOW = 1_767_225_600_000_000_000
 
@@ -73,14 +73,16 @@ def test_no_negative_zero():
 
 def test_offsets_shift_heel_amplitudes_and_peaks_alike():
     p = picture(roll=5.0)
-    plain = {n: p.number(n) for n in ('amplitude_port', 'amplitude_starboard', 'peak_port', 'peak_starboard')}
+    plain = {
+        n: p.number(n, NOW) for n in ('amplitude_port', 'amplitude_starboard', 'peak_port', 'peak_starboard')
+    }
     p.take_settings({'roll_offset': 1.5, 'pitch_offset': -0.5, 'heading_offset': -10.0})
     p.take_angles(
         Angles(NOW + 10**8, '', (math.radians(5.0), 0.0, math.radians(90.0)), *[(0.0,) * 3] * 2, VALID)
     )
     assert (p.roll, p.pitch, p.heading) == pytest.approx((6.5, -0.5, 350.0))
     for name, value in plain.items():
-        assert p.number(name) == pytest.approx(value + (1.5 if 'starboard' in name else -1.5))
+        assert p.number(name, NOW) == pytest.approx(value + (1.5 if 'starboard' in name else -1.5))
 
 
 def test_the_display_filter_smooths_what_is_shown_and_nothing_else():
@@ -93,3 +95,47 @@ def test_the_display_filter_smooths_what_is_shown_and_nothing_else():
     assert p.roll == pytest.approx(10.0)
     # One time constant after a step.
     assert p.shown_roll == pytest.approx(10.0 * (1.0 - math.exp(-1.0)))
+
+
+def test_a_roll_analysis_that_falls_silent_leaves_its_fields_empty():
+    p = picture()
+    for seconds, shown in ((2, ',11.6,9.8,13.1,A,14.0,15.2,230000,31,12*'), (4, ',,,,A,,,,,*')):
+        later = NOW + seconds * 10**9
+        p.take_angles(Angles(later, '', (math.radians(12.34), 0.0, 0.0), (0.0,) * 3, (0.0,) * 3, VALID))
+        assert hrm('II', p, later).startswith(f'$IIHRM,12.3{shown}')
+
+
+def test_an_attitude_out_of_the_future_is_as_stale_as_an_old_one():
+    p = picture()
+    for step, shown in ((0.5, VALID), (-0.5, VALID), (1.5, INVALID), (-1.5, INVALID), (-3600.0, INVALID)):
+        assert p.shown_validity(NOW + round(step * 1e9))[0] == shown
+    assert p.number('roll_period', NOW - 3600 * 10**9) != p.number('roll_period', NOW)
+
+
+@pytest.mark.parametrize('age', [math.nan, math.inf, -1.0, 1e30])
+def test_an_unknown_age_of_the_peaks_is_no_time_of_reset(age):
+    p = picture()
+    p.take_roll(NOW, {**p.rolling, 'peak_age': age})
+    assert ',,,*' in hrm('II', p, NOW)
+
+
+@pytest.mark.parametrize('yaw', [90.0, 90.0 + 1e-15, 90.0 + 1e-13, 90.001, 90.04, 450.0])
+def test_a_heading_is_never_360(yaw):
+    p = picture(yaw=yaw)
+    assert 0.0 <= p.heading < 360.0
+    assert heading('II', p, NOW)[0].startswith('$IITHS,0.0,A')
+
+
+def test_a_validity_that_is_none_counts_as_invalid():
+    p = picture()
+    p.take_validity(Validity(NOW, 7, '', True, (0.1, 0.1, 0.1)))
+    assert p.shown_validity(NOW)[0] == INVALID
+
+
+def test_alarms_of_a_monitor_that_fell_silent_are_unknown():
+    p = picture()
+    assert not p.alarms_known(NOW)
+    p.take_alarms(NOW, {'heel_alarm': 1.0})
+    assert p.shown_alarms(NOW + 2 * 10**9) == {'heel_alarm': 1.0}
+    for later in (NOW + 4 * 10**9, NOW - 4 * 10**9):
+        assert p.shown_alarms(later) == {}

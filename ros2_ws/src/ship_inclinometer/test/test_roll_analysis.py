@@ -169,3 +169,23 @@ def test_it_takes_whatever_comes(steps):
         ):
             if isinstance(estimate, RollState):
                 assert math.isfinite(estimate.heel)
+
+
+def test_after_a_change_of_list_a_smaller_roll_is_told_and_the_larger_one_forgotten():
+    t = np.arange(0.0, 400.0, 0.2)
+    for list_angle in (1.0, 3.0, -3.0):
+        heel = np.where(t < 150.0, 4.0, 1.0) * np.sin(2 * math.pi * t / 9.0) + list_angle * (t > 150.0)
+        last = states(run(t, heel)[1])[-1]
+        assert last.status == ROLLING
+        assert last.period == pytest.approx(9.0, abs=0.1)
+        assert math.degrees(last.mean_heel) == pytest.approx(list_angle, abs=0.2)
+        assert math.degrees(last.amplitude_starboard) == pytest.approx(max(list_angle + 1.0, 0.0), abs=0.2)
+        assert math.degrees(last.amplitude_port) == pytest.approx(max(1.0 - list_angle, 0.0), abs=0.2)
+
+
+def test_no_maximum_is_shown_for_longer_than_the_longest_period():
+    t = np.arange(0.0, 250.0, 0.2)
+    heel = np.where(t < 150.0, 4.0, 0.7) * np.sin(2 * math.pi * t / 9.0) + 3.0 * (t > 150.0)
+    shown = states(run(t, heel)[1])
+    late = [s for s in shown if (s.stamp - START) * 1e-9 > 150.0 + 2.0 * 45.0]
+    assert all(not s.amplitude_port > math.radians(1.0) for s in late)

@@ -25,12 +25,14 @@ STATE = {
     'heading': 271.2,
     'heading_valid': True,
     'sigma': 0.14,
+    'roll_known': True,
     'no_roll': False,
     'period': 11.6,
     'amplitude_port': 9.8,
     'amplitude_starboard': 13.1,
     'peak_port': 14.0,
     'peak_starboard': 15.2,
+    'alarms_known': True,
     'alarms': {'heel_warning': 1.0, 'heel_warning_unacknowledged': 1.0},
 }
 
@@ -157,3 +159,38 @@ def test_a_browser_shows_no_heel_when_it_is_invalid(tmp_path):
     assert 'INVALID: attitude is stale' in page
     assert '12.3°' not in page
     assert '<button>Acknowledge</button>' not in page
+
+
+@needs_chromium
+def test_a_browser_says_where_nobody_speaks_any_more(tmp_path):
+    async def scene():
+        silent = {
+            'roll_known': False,
+            'alarms_known': False,
+            'alarms': {},
+            'period': math.nan,
+            'heading': 359.97,
+        }
+        async with served({**STATE, **silent}) as (url, _):
+            return await browse(url, tmp_path, '--dump-dom')
+
+    page = asyncio.run(scene())
+    assert '12.3° S' in page
+    assert 'no data' in page
+    assert 'the alarm monitor is silent' in page
+    assert '>No alarms<' not in page
+    assert '>0.0°<' in page
+    assert '360.0' not in page
+
+
+@needs_chromium
+def test_a_browser_that_loses_the_connection_shows_no_old_number(tmp_path):
+    async def scene():
+        async with served(STATE) as (url, _):
+            return await browse(url, tmp_path, '--dump-dom', '--virtual-time-budget=60000')
+
+    # Virtual time outruns the stream: for the page, seconds pass without news.
+    page = asyncio.run(scene())
+    assert 'NO CONNECTION' in page
+    for old in ('12.3°', '9.8°', '14.0°', 'Heel warning<', '12 s'):
+        assert old not in page

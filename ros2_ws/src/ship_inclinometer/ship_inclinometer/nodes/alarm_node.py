@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
-import math
+import time
 from dataclasses import asdict
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import ROSClock
 from std_srvs.srv import SetBool, Trigger
 
+from node_core.diagnostics import ERROR, OK, WARN, status
 from node_core.messages import stamp_of
 from node_core.node import WorkspaceNode
 from node_core.ports import BadMessage
 from ship_inclinometer import topics
-from ship_inclinometer.alarms import AlarmEvent, AlarmMonitor
+from ship_inclinometer.alarms import AlarmEvent, AlarmMonitor, quantities
 from ship_inclinometer.bridge_params import AlarmParams
 from ship_inclinometer.codec import (
     VALUES,
@@ -45,7 +48,8 @@ class AlarmNode(WorkspaceNode):
         self._monitor = AlarmMonitor(dict(self._configured), params.latching)
         self.parameters.on_change(self._parameters_changed)
         self._picture = Picture()
-        self._began = self.get_clock().now().nanoseconds
+        self._began = self._elapsed()
+        self._unlogged = ''
         self._publisher, self._message = self.publish_to(VALUES, topics.ALARMS, latched=True)
         self.listen(VECTOR, topics.ANGLES, self._on_angles)
         self.listen(VALUES, topics.VALIDITY, self._on_validity, latched=True)
@@ -55,8 +59,8 @@ class AlarmNode(WorkspaceNode):
         self.create_service(Trigger, '~/acknowledge', self._on_acknowledge)
         self.create_service(Trigger, '~/silence', self._on_silence)
         self.create_service(SetBool, '~/stop', self._on_stop)
-        self.create_timer(_PERIOD, self._judge)
-        self._append(self._began, 'start', 'alarm_monitor', 'started')
+        self.create_timer(_PERIOD, self._judge, clock=self.steady_clock)
+        self._append('start', 'alarm_monitor', 'started')
 
     def _thresholds(self) -> dict[str, float]:
         values = asdict(self.parameters[AlarmParams])
@@ -64,42 +68,45 @@ class AlarmNode(WorkspaceNode):
 
     def destroy_node(self) -> None:
         """Log the stop."""
-        self._append(self.get_clock().now().nanoseconds, 'stop', 'alarm_monitor', 'stopped')
+        self._append('stop', 'alarm_monitor', 'stopped')
         self._log.close()
         super().destroy_node()
 
-    def _append(self, stamp: int, kind: str, who: str, text: str) -> None:
+    def _elapsed(self) -> int:
+        """Return the time (ns) that alarms go by: the wall clock may step, simulated time may run faster."""
+        clock = self.get_clock()
+        simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        return clock.now().nanoseconds if simulated else time.monotonic_ns()
+
+    def _append(self, kind: str, who: str, text: str) -> None:
         try:
-            self._log.append(stamp, kind, who, text)
+            self._log.append(self.get_clock().now().nanoseconds, kind, who, text)
+            self._unlogged = ''
         except LogError as error:
             # An alarm that cannot be logged must still sound.
+            self._unlogged = str(error)
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
 
     def _parameters_changed(self) -> None:
-        stamp = self.get_clock().now().nanoseconds
         # What was set over Modbus stays, unless this very parameter is changed.
         before, self._configured = self._configured, self._thresholds()
         changed = {n: v for n, v in self._configured.items() if v != before[n]}
-        self._change(stamp, changed, 'parameter')
+        self._change(changed, 'parameter')
         self._monitor.latching = self.parameters[AlarmParams].latching
 
-    def _change(self, stamp: int, settings: dict[str, float], who: str) -> None:
+    def _change(self, settings: dict[str, float], who: str) -> None:
         known = self._monitor.settings
         changes = {n: v for n, v in settings.items() if n in known and known[n] != v}
         if changes:
             text = ', '.join(f'{n} {known[n]:g} -> {v:g}' for n, v in changes.items())
-            self._append(stamp, 'setting', who, text)
+            self._append('setting', who, text)
             known.update(changes)
 
     def _on_angles(self, message: Any) -> None:
         self._guarded(topics.ANGLES, lambda: self._picture.take_angles(decode_angles(message)))
 
     def _on_validity(self, message: Any) -> None:
-        def take() -> None:
-            validity = decode_validity(message)
-            self._picture.validity, self._picture.reason = validity.validity, validity.reason
-
-        self._guarded(topics.VALIDITY, take)
+        self._guarded(topics.VALIDITY, lambda: self._picture.take_validity(decode_validity(message)))
 
     def _on_roll(self, message: Any) -> None:
         take = self._picture.take_roll
@@ -109,7 +116,7 @@ class AlarmNode(WorkspaceNode):
         def take() -> None:
             settings = decode_numbers(message)
             self._picture.take_settings(settings)
-            self._change(stamp_of(message), settings, 'modbus')
+            self._change(settings, 'modbus')
 
         self._guarded(topics.SETTINGS, take)
 
@@ -121,64 +128,73 @@ class AlarmNode(WorkspaceNode):
 
     def _on_command(self, message: Any) -> None:
         name, _, who = message.data.partition(' ')
-        stamp = self.get_clock().now().nanoseconds
         if name == 'acknowledge':
             alarm, _, rest = who.partition(' ')
             known = alarm in self._monitor.states
-            self._tell(self._monitor.acknowledge(stamp, alarm if known else ''), rest if known else who)
+            self._tell(self._monitor.acknowledge(alarm if known else ''), rest if known else who)
         elif name == 'silence':
-            self._monitor.silence(stamp)
-            self._append(stamp, 'silence', who, 'silenced')
+            self._silence(who)
         elif name == 'log_mark':
-            self._append(stamp, 'mark', who, 'mark')
+            self._append('mark', who, 'mark')
         elif name in ('stop_set', 'stop_clear'):
-            self._stop(stamp, name == 'stop_set', who)
+            self._stop(name == 'stop_set', who)
 
-    def _stop(self, stamp: int, stopped: bool, who: str) -> None:
+    def _silence(self, who: str) -> None:
+        self._monitor.silence(self._elapsed())
+        self._append('silence', who, 'silenced')
+
+    def _stop(self, stopped: bool, who: str) -> None:
         if self._monitor.stopped != stopped:
-            self._append(stamp, 'stop flag', who, 'alarms suspended' if stopped else 'alarms judged again')
+            self._append('stop flag', who, 'alarms suspended' if stopped else 'alarms judged again')
             self._monitor.stopped = stopped
 
     def _on_stop(self, request: Any, response: Any) -> Any:
-        self._stop(self.get_clock().now().nanoseconds, request.data, 'service')
+        self._stop(request.data, 'service')
         response.success = True
         response.message = 'alarms suspended' if request.data else 'alarms judged again'
         return response
 
     def _on_acknowledge(self, _request: Any, response: Any) -> Any:
-        events = self._monitor.acknowledge(self.get_clock().now().nanoseconds)
+        events = self._monitor.acknowledge()
         self._tell(events, 'service')
         response.success = True
         response.message = f'{len(events)} acknowledged'
         return response
 
     def _on_silence(self, _request: Any, response: Any) -> Any:
-        stamp = self.get_clock().now().nanoseconds
-        self._monitor.silence(stamp)
-        self._append(stamp, 'silence', 'service', 'silenced')
+        self._silence('service')
         response.success = True
         response.message = 'silenced'
         return response
 
     def _tell(self, events: list[AlarmEvent], who: str) -> None:
         for event in events:
-            self._append(event.stamp, event.kind, who, f'{event.name}: {event.text}')
+            self._append(event.kind, who, f'{event.name}: {event.text}')
 
     def _judge(self) -> None:
         now = self.get_clock().now().nanoseconds
-        picture = self._picture
-        validity, _ = picture.shown_validity(now)
-        known = validity != INVALID
-        amplitudes = (picture.number('amplitude_port'), picture.number('amplitude_starboard'))
-        started = known or now - self._began > _START_UP * 1e9
-        warned = picture.number('synchronous_warning') + picture.number('parametric_warning')
-        quantities = {
-            'heel': picture.roll if known else math.nan,
-            'pitch': picture.pitch if known else math.nan,
-            'amplitude': max((a for a in amplitudes if a == a), default=math.nan) if known else math.nan,
-            'resonance': warned if known else math.nan,
-            'sensor_fault': float(not known) if started else math.nan,
-        }
-        self._tell(self._monitor.update(now, quantities), 'alarm_monitor')
-        encode_numbers(self._message, now, self._monitor.numbers(now))
+        elapsed = self._elapsed()
+        started = elapsed - self._began > _START_UP * 1e9
+        self._tell(self._monitor.update(elapsed, quantities(self._picture, now, started)), 'alarm_monitor')
+        encode_numbers(self._message, now, self._monitor.numbers(elapsed))
         self._publisher.publish(self._message)
+
+    def diagnose(self) -> DiagnosticArray:
+        """Report what cannot be judged, and an event log that cannot be written."""
+        now = self.get_clock().now().nanoseconds
+        validity, reason = self._picture.shown_validity(now)
+        level, text = OK, 'ok'
+        if self._unlogged:
+            level, text = ERROR, self._unlogged
+        elif validity == INVALID:
+            level, text = ERROR, f'no attitude to judge: {reason}'
+        elif not self._picture.rolling_known(now):
+            level, text = WARN, 'roll amplitude and resonance are not judged: no roll analysis'
+        elif self._monitor.stopped:
+            level, text = WARN, 'stop flag set: nothing is judged'
+        values = {
+            'active': sum(state.active for state in self._monitor.states.values()),
+            'unacknowledged': sum(not state.acknowledged for state in self._monitor.states.values()),
+        }
+        name = self.get_fully_qualified_name().lstrip('/')
+        return DiagnosticArray(status=[status(name, level, text, values)])

@@ -19,19 +19,23 @@ from ship_inclinometer.marine import Picture
 
 
 class BridgeNode(WorkspaceNode):
-    """Keeps `_picture` and `_alarms` up to date once `_watch` was called."""
+    """Keeps `_picture` up to date once `_watch` was called."""
 
     def __init__(self, name: str, params: type) -> None:
         super().__init__(name, params)
         self._picture = Picture()
-        self._alarms: dict[str, float] = {}
 
     def _watch(self) -> None:
         picture = self._picture
         self._take(IMU, topics.ATTITUDE, lambda m: picture.take_angles(angles_of(decode_attitude(m))))
-        self._take(VALUES, topics.VALIDITY, self._take_validity, latched=True)
+        self._take(VALUES, topics.VALIDITY, lambda m: picture.take_validity(decode_validity(m)), latched=True)
         self._take(VALUES, topics.ROLL, lambda m: picture.take_roll(stamp_of(m), decode_numbers(m)))
-        self._take(VALUES, topics.ALARMS, self._take_alarms, latched=True)
+        self._take(
+            VALUES,
+            topics.ALARMS,
+            lambda m: picture.take_alarms(stamp_of(m), decode_numbers(m)),
+            latched=True,
+        )
 
     def _watch_settings(self) -> None:
         """Follow the settings that the Modbus bridge publishes."""
@@ -46,14 +50,6 @@ class BridgeNode(WorkspaceNode):
                 self.get_logger().warning(f'{topic}: {error}', throttle_duration_sec=5.0)
 
         self.listen(kind, topic, guarded, latched=latched)
-
-    def _take_validity(self, message: Any) -> None:
-        validity = decode_validity(message)
-        self._picture.validity, self._picture.reason = validity.validity, validity.reason
-        self._picture.heading_valid = validity.heading_valid
-
-    def _take_alarms(self, message: Any) -> None:
-        self._alarms = decode_numbers(message)
 
 
 def open_log(path: str) -> EventLog:

@@ -16,6 +16,7 @@ from kalman_core.parameters import ParameterError
 from ship_inclinometer import topics
 from ship_inclinometer.bridge_params import DisplayParams
 from ship_inclinometer.nodes.bridge_node import BridgeNode, open_log
+from ship_inclinometer.roll_analysis import NO_ROLL
 from ship_inclinometer.samples import INVALID
 from ship_inclinometer.web import application
 
@@ -34,7 +35,7 @@ class DisplayNode(BridgeNode):
         self._watch()
         self._watch_settings()
         self._trend: deque[tuple[float, float]] = deque(maxlen=round(_TREND / _TREND_STEP))
-        self.create_timer(_TREND_STEP, self._remember)
+        self.create_timer(_TREND_STEP, self._remember, clock=self.steady_clock)
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         try:
@@ -69,6 +70,8 @@ class DisplayNode(BridgeNode):
         now = self.get_clock().now().nanoseconds
         picture = self._picture
         validity, reason = picture.shown_validity(now)
+        alarms = picture.shown_alarms(now)
+        rolling = ('amplitude_port', 'amplitude_starboard', 'peak_port', 'peak_starboard')
         return {
             'time': now * 1e-9,
             'validity': validity,
@@ -78,14 +81,13 @@ class DisplayNode(BridgeNode):
             'heading': picture.heading,
             'heading_valid': picture.heading_valid,
             'sigma': picture.sigma_roll,
-            'no_roll': picture.number('status') == 1.0,
-            'period': picture.number('roll_period'),
-            'amplitude_port': picture.number('amplitude_port'),
-            'amplitude_starboard': picture.number('amplitude_starboard'),
-            'peak_port': picture.number('peak_port'),
-            'peak_starboard': picture.number('peak_starboard'),
-            'stopped': bool(self._alarms.get('stop_flag')),
-            'alarms': dict(self._alarms),
+            'roll_known': picture.rolling_known(now),
+            'no_roll': picture.number('status', now) == NO_ROLL,
+            'period': picture.number('roll_period', now),
+            **{name: picture.number(name, now) for name in rolling},
+            'alarms_known': picture.alarms_known(now),
+            'stopped': bool(alarms.get('stop_flag')),
+            'alarms': alarms,
         }
 
     def _command(self, name: str, who: str) -> None:

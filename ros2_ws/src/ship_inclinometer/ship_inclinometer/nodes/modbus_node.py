@@ -18,6 +18,7 @@ from ship_inclinometer.codec import VALUES, encode_numbers
 from ship_inclinometer.modbus_device import ModbusDevice
 from ship_inclinometer.modbus_server import RtuServer, TcpServer
 from ship_inclinometer.nodes.bridge_node import BridgeNode, open_log
+from ship_inclinometer.roll_analysis import NO_ROLL, ROLLING
 from ship_inclinometer.samples import DEGRADED, INVALID, VALID
 from ship_inclinometer.settings_file import SettingsError, load_settings, save_settings
 
@@ -127,18 +128,21 @@ class ModbusNode(BridgeNode):
         known = validity != INVALID
         values = {f.name: getattr(picture, f.name, math.nan) if known else math.nan for f in m.MEASURED}
         for name in ('roll_period', 'amplitude_port', 'amplitude_starboard', 'peak_port', 'peak_starboard'):
-            values[name] = picture.number(name)
+            values[name] = picture.number(name, now)
         utc = picture.stamp or now
         values |= {
             'utc_seconds': utc // 10**9,
             'utc_milliseconds': utc // 10**6 % 1000,
             'age': min(max(1e3 * picture.age(now), 0.0), 65535.0),
         }
-        bits = {name: bool(self._alarms.get(name, 0.0)) for name in m.DISCRETE[6:15]}
+        alarms = picture.shown_alarms(now)
+        bits = {name: bool(alarms.get(name, 0.0)) for name in m.DISCRETE[6:15]}
         bits |= {'valid': validity == VALID, 'degraded': validity == DEGRADED, 'invalid': not known}
         bits |= {
             'heading_valid': known and picture.heading_valid,
-            'rolling': picture.number('status') == 0.0,
-            'no_roll': picture.number('status') == 1.0,
+            'rolling': picture.number('status', now) == ROLLING,
+            'no_roll': picture.number('status', now) == NO_ROLL,
+            'alarms_unknown': not picture.alarms_known(now),
+            'roll_unknown': not picture.rolling_known(now),
         }
         asyncio.run_coroutine_threadsafe(self.device.update(values, bits), self._loop)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import socket
 import termios
+import time
 
 from kalman_core.parameters import ParameterError
 from ship_inclinometer import topics
@@ -17,6 +18,8 @@ from ship_inclinometer.nodes.bridge_node import BridgeNode
 
 # Commands taken in one round: a flood must not hold up the sentences.
 _COMMANDS_AT_ONCE = 20
+# The alarm monitor may be started after this node (s); from then on its silence is an alert.
+_ALARMS_AWAITED = 15.0
 
 
 class NmeaNode(BridgeNode):
@@ -32,6 +35,7 @@ class NmeaNode(BridgeNode):
         p = self._params
         self._alerts = AlertReporter(p.talker, p.manufacturer) if p.manufacturer else None
         self._pending: list[str] = []
+        self._began = time.monotonic()
         self._commands = self._open_commands()
         self._publisher, self._message = self.publish_to('std_msgs/msg/String', topics.COMMAND)
         self._watch()
@@ -85,7 +89,11 @@ class NmeaNode(BridgeNode):
             return []
         self._take_commands(self._alerts, now)
         answers, self._pending = self._pending, []
-        return answers + self._alerts.sentences(now, self._alarms)
+        picture = self._picture
+        alarms: dict[str, float] | None = picture.shown_alarms(now)
+        if not alarms and time.monotonic() - self._began > _ALARMS_AWAITED:
+            alarms = None
+        return answers + self._alerts.sentences(now, alarms)
 
     def _send(self) -> None:
         p = self._params

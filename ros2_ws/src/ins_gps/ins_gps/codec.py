@@ -57,7 +57,11 @@ _NOT_MEASURED = 1e6  # (rad/s)², far beyond any turn
 
 
 def decode_imu(message: Any) -> ImuSample:
-    """Decode a sensor_msgs/Imu into forward-right-down."""
+    """Decode a sensor_msgs/Imu into forward-right-down; raise BadMessage for one without rate or force."""
+    if message.angular_velocity_covariance[0] == -1.0:  # REP-145: not measured
+        raise BadMessage('no angular velocity')
+    if message.linear_acceleration_covariance[0] == -1.0:
+        raise BadMessage('no specific force')
     stamp = stamp_of(message)
     x, y, z = finite3(message.angular_velocity, 'angular velocity')
     ax, ay, az = finite3(message.linear_acceleration, 'specific force')

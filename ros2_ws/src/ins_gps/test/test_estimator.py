@@ -131,6 +131,14 @@ def test_imu_turns_from_left_up_to_right_down(run):
     assert message.linear_acceleration.z == pytest.approx(9.8, abs=0.1)
     back = codec.decode_imu(message)
     np.testing.assert_array_equal(back.force, run.force[0])
+    for field, words in (
+        ('angular_velocity', 'no angular velocity'),
+        ('linear_acceleration', 'no specific f'),
+    ):
+        getattr(message, f'{field}_covariance')[0] = -1.0
+        with pytest.raises(BadMessage, match=words):
+            codec.decode_imu(message)
+        getattr(message, f'{field}_covariance')[0] = 0.0
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import shutil
 import pytest
 from aiohttp import ClientSession, web
 
-from ship_inclinometer.web import application
+from ship_inclinometer.web import PAGE, application
 
 CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser') or shutil.which('google-chrome')
 # CI sets WS_REQUIRE_PROGRAMS: there a missing program fails the test instead of skipping it.
@@ -185,12 +185,32 @@ def test_a_browser_says_where_nobody_speaks_any_more(tmp_path):
 
 @needs_chromium
 def test_a_browser_that_loses_the_connection_shows_no_old_number(tmp_path):
-    async def scene():
-        async with served(STATE) as (url, _):
-            return await browse(url, tmp_path, '--dump-dom', '--virtual-time-budget=60000')
+    async def page(_request):
+        return web.FileResponse(PAGE)
 
-    # Virtual time outruns the stream: for the page, seconds pass without news.
-    page = asyncio.run(scene())
-    assert 'NO CONNECTION' in page
+    async def told_once(_request):
+        return web.json_response(STATE)
+
+    async def scene():
+        # One state, and no stream after it.
+        app = web.Application()
+        app.router.add_get('/', page)
+        app.router.add_get('/state', told_once)
+        runner = web.AppRunner(app)
+        await runner.setup()
+        site = web.TCPSite(runner, '127.0.0.1', 0)
+        await site.start()
+        port = site._server.sockets[0].getsockname()[1]
+        try:
+            # For the page, seconds pass.
+            return await browse(
+                f'http://127.0.0.1:{port}', tmp_path, '--dump-dom', '--virtual-time-budget=20000'
+            )
+        finally:
+            await runner.cleanup()
+
+    shown = asyncio.run(scene())
+    assert 'NO CONNECTION' in shown
+    assert 'the alarm monitor is silent' in shown
     for old in ('12.3°', '9.8°', '14.0°', 'Heel warning<', '12 s'):
-        assert old not in page
+        assert old not in shown

@@ -18,7 +18,7 @@ from quad_control.attitude_filter import AttitudeFilter
 from quad_control.controller import AttitudeController
 from quad_control.craft import CraftParams, benchmark_craft, benchmark_imu, max_thrust
 from quad_control.endurance import Endurance, battery_for
-from quad_control.fault_injection import STATED, inject
+from quad_control.fault_injection import FASTEST_SINK, SINKING, STATED, inject, lose_link_climbing
 from quad_control.flight import FlightLog, StepResult, constant_pilot, fly, step_result
 from quad_control.linear_plant import LinearPlant, documented_plant, rate_plant
 from quad_control.mixer import mix, pulses_from_thrust
@@ -52,6 +52,7 @@ def measure(options: Options) -> Iterable[Row]:
         yield from _revert(seeds)
         yield from _mixer(seeds)
         yield from _faults(seeds)
+        yield from _climbing(seeds)
         yield from _endurance()
     if options.live:
         yield from _live(options.quick)
@@ -269,6 +270,21 @@ def _faults(seeds: range) -> Iterator[Row]:
         yield _row(f'{fault}: to idle or descent', 1e3 * worst, 'ms', 1e3 * limit, seeds=len(few))
     share = 100.0 * ended / (len(few) * len(STATED))
     yield _row('injected faults that end well in time', share, '%', 100.0, better='higher', seeds=len(few))
+
+
+def _climbing(seeds: range) -> Iterator[Row]:
+    """Lose the link in a climb that no sensor measures, with thrusts that are not what was expected."""
+    few = list(seeds)[:10]
+    name = 'link lost in a climb of 2 m/s, no height, thrust x 0.85, 1, 1.15, 0 and 3.2 kg'
+    found = [
+        lose_link_climbing(seed, scale, payload)
+        for seed in few
+        for scale in (0.85, 1.0, 1.15)
+        for payload in (0.0, 3.2)
+    ]
+    sinking, fastest = (max(values) for values in zip(*found))
+    yield _row(f'{name}: to sinking', min(sinking, _NEVER), 's', SINKING, seeds=len(few))
+    yield _row(f'{name}: fastest sink', min(fastest, _NEVER), 'm/s', FASTEST_SINK, seeds=len(few))
 
 
 def _endurance() -> Iterator[Row]:

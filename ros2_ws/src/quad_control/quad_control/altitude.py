@@ -56,11 +56,13 @@ class Altitude:
         """Whether a range was heard lately; `time` s."""
         return time - self.state[_RANGE_TIME] < _FRESH
 
-    def predict(self, q, force, dt: float) -> None:
-        """Carry height and climb rate on with the vertical acceleration of ``q`` (4,) and force (m/s²)."""
-        w, x, y, z = q
-        up = 2.0 * (x * z - w * y) * force[0] + 2.0 * (y * z + w * x) * force[1]
-        up += (1.0 - 2.0 * (x * x + y * y)) * force[2] - GRAVITY
+    @property
+    def climb_rate(self) -> float:
+        """Climb rate (m/s); it means something while a height is heard."""
+        return float(self.state[_CLIMB])
+
+    def predict(self, up: float, dt: float) -> None:
+        """Carry height and climb rate on with the vertical acceleration `up` (m/s²)."""
         self.state[_HEIGHT] += dt * self.state[_CLIMB]
         self.state[_CLIMB] += dt * (up + self.state[_TRIM])
 
@@ -126,6 +128,13 @@ class Altitude:
         if s[_LOW_SINCE] < 0.0:
             s[_LOW_SINCE] = time
         return time - s[_LOW_SINCE] > _LANDED_TIME
+
+
+def upward_acceleration(q, force) -> float:
+    """Return the vertical acceleration (m/s²) of ``q_nb`` (4,) and specific force (3,) [m/s², body]."""
+    w, x, y, z = q
+    up = 2.0 * (x * z - w * y) * force[0] + 2.0 * (y * z + w * x) * force[1]
+    return up + ((1.0 - 2.0 * (x * x + y * y)) * force[2] - GRAVITY)
 
 
 def pressure_height(pressure: float, ground: float) -> float:

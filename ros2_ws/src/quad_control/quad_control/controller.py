@@ -10,14 +10,14 @@ import numpy as np
 
 from kalman_core.health import Tally
 from quad_control.altitude import SIZE as ALTITUDE_SIZE
-from quad_control.altitude import Altitude, pressure_height
+from quad_control.altitude import Altitude, pressure_height, upward_acceleration
 from quad_control.arming import ARMED, DESCENT, DISARMED, NAMES, Arming, Checks
 from quad_control.arming import SIZE as ARMING_SIZE
 from quad_control.attitude_error import attitude_error, heading, tilt_cosine
 from quad_control.attitude_loop import AXES, YAW_CENTRE, AttitudeLoop, clip
 from quad_control.attitude_loop import SIZE as LOOP_SIZE
 from quad_control.mixer import mix, pulses_from_thrust
-from quad_control.params import GAINS, ControllerParams
+from quad_control.params import GAINS, GRAVITY, ControllerParams
 from quad_control.samples import (
     ArmingState,
     Attitude,
@@ -30,6 +30,8 @@ from quad_control.samples import (
     Setpoint,
 )
 from quad_control.tuning_in_flight import TuningInFlight, saturates
+from quad_control.vertical import SIZE as VERTICAL_SIZE
+from quad_control.vertical import VerticalFilter
 
 NANOSECONDS = 1_000_000_000
 ATTITUDE, SETPOINT, RANGE, BATTERY, PRESSURE = 'imu/data', 'setpoint', 'range', 'battery', 'pressure'
@@ -52,7 +54,8 @@ _ALTITUDE = slice(ARMING_SIZE, ARMING_SIZE + ALTITUDE_SIZE)
 _OWN = ARMING_SIZE + ALTITUDE_SIZE
 _HEADING, _AIRBORNE, _ATTITUDE_TIME, _SETPOINT_TIME, _VOLTAGE = range(_OWN, _OWN + 5)
 _LOOP = slice(_OWN + 5, _OWN + 5 + LOOP_SIZE)
-_SIZE = _OWN + 5 + LOOP_SIZE
+_VERTICAL = slice(_OWN + 5 + LOOP_SIZE, _OWN + 5 + LOOP_SIZE + VERTICAL_SIZE)
+_SIZE = _OWN + 5 + LOOP_SIZE + VERTICAL_SIZE
 
 
 class AttitudeController:
@@ -69,6 +72,7 @@ class AttitudeController:
         s = self.state
         self.arming = Arming(self.params, s[_ARMING])
         self.altitude = Altitude(s[_ALTITUDE])
+        self.vertical = VerticalFilter(s[_VERTICAL])
         self.loop = AttitudeLoop(self.params, s[_LOOP])
         self._thrust, self._achieved, self._pulses = np.zeros(4), np.zeros(4), np.zeros(4)
         self.tuning = TuningInFlight(lambda kind, text: self._say(kind, text, self._newest_stamp()))
@@ -81,6 +85,7 @@ class AttitudeController:
         s[:] = 0.0
         self.arming.reset()
         self.altitude.reset()
+        self.vertical.reset()
         self.loop.reset()
         s[_ATTITUDE_TIME] = s[_SETPOINT_TIME] = -math.inf
         s[_VOLTAGE] = math.nan
@@ -182,6 +187,8 @@ class AttitudeController:
         self.tally.accept(ATTITUDE, sample.stamp)
         self._say('arming', self.arming.tick(self._checks(time, 0.0 if first else gap)), sample.stamp)
         if not self.arming.flying:
+            up = upward_acceleration(sample.quaternion, sample.force)
+            self.vertical.rest(up + GRAVITY, min(gap, self.params.imu_timeout))
             return self._rest(sample)
         return self._fly(sample, time, min(gap, self.params.imu_timeout))
 
@@ -228,6 +235,7 @@ class AttitudeController:
         self.state[_AIRBORNE] = 1.0
         self.state[_HEADING] = heading(np.asarray(quaternion))
         self.altitude.hover = throttle
+        self.vertical.start(throttle)
 
     def set_params(self, params: ControllerParams, *, trial: bool | None = None) -> None:
         """Take new parameters; gains move in bumplessly and, in flight, are on trial unless told not to."""
@@ -261,6 +269,8 @@ class AttitudeController:
             'trial': self.tuning.on_trial,
             'autotune': self.tuning.relay is not None,
             'hover_thrust': self.altitude.hover,
+            'climb_m_s': self.vertical.climb,
+            'climb_sigma_m_s': self.vertical.sigma,
             'battery_v': voltage,
         }
 
@@ -277,7 +287,8 @@ class AttitudeController:
         q = np.array(sample.quaternion)
         self._turning = True
         self.loop.blend(dt)
-        self.altitude.predict(sample.quaternion, sample.force, dt)
+        up = upward_acceleration(sample.quaternion, sample.force)
+        self.altitude.predict(up, dt)
         roll, pitch, yaw_rate, throttle = self._demand(time, dt)
         if throttle > _TAKE_OFF:
             s[_AIRBORNE] = 1.0
@@ -297,6 +308,7 @@ class AttitudeController:
         self.loop.unwind(self._achieved)
         if self.arming.mode == ARMED:  # a descent without range flies on a share of what was learnt
             self.altitude.learn_hover(self._achieved[3], sample.force[2], dt)
+        self._feel_climb(sample, up + GRAVITY, tilt_cosine(q), time, dt)
         rate_errors = tuple(t - r for t, r in zip(targets, sample.rate))
         lost = saturates(demand, self._achieved)
         self._fall_back(self.tuning.watch(p, time, dt, rate_errors, errors, lost))
@@ -313,6 +325,21 @@ class AttitudeController:
             _four(self._achieved),
         )
         return [MotorCommand(sample.stamp, _four(self._pulses), _four(self._thrust)), report, *self.said()]
+
+    def _feel_climb(self, sample: Attitude, force_up: float, cosine: float, time: float, dt: float) -> None:
+        if not self.state[_AIRBORNE]:
+            self.vertical.rest(force_up, dt)
+            return
+        self.vertical.step(
+            force_up,
+            sample.force[2],
+            cosine,
+            self._achieved[3],
+            dt,
+            self.altitude.climb_rate if self.altitude.fresh(time) else None,
+            self.arming.mode == ARMED,
+            self.params.inflow,
+        )
 
     def _rest(self, sample: Attitude) -> list:
         self._fall_back(self.tuning.stop())
@@ -342,6 +369,8 @@ class AttitudeController:
                 return 0.0, 0.0, 0.0, 0.0
             if fresh:
                 return 0.0, 0.0, 0.0, altitude.climb(-p.descent_rate, p, dt)
+            if self.vertical.known:
+                return 0.0, 0.0, 0.0, self.vertical.sink(p.descent_rate, p.climb_p, p.inflow)
             return 0.0, 0.0, 0.0, p.descent_throttle * altitude.hover
         if sp.hold and fresh and self.state[_AIRBORNE]:
             return sp.roll, sp.pitch, sp.yaw_rate, altitude.hold(p, dt)

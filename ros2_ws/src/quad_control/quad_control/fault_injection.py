@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from quad_control.attitude_filter import AttitudeFilter
 from quad_control.controller import AttitudeController
 from quad_control.craft import CraftParams, ImuErrorParams, hover_fraction
 from quad_control.fake_pca9685 import FakePca9685
+from quad_control.flight import fly
 from quad_control.params import ControllerParams, EscParams
 from quad_control.pca9685 import Pca9685Driver
 from quad_control.samples import Attitude, BatterySample, ImuSample, MotorCommand, Setpoint
@@ -41,6 +43,8 @@ STATED = {
     'controller killed': 0.065,
 }
 """Longest time (s) from each fault to idle motors or the begin of the descent."""
+SINKING, FASTEST_SINK = 3.0, 2.5
+"""A descent without height that began in a climb sinks after this time (s), no faster than this (m/s)."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,52 @@ def _descent(flight: _Flight, link: bool, low: bool, ranged: bool) -> Reaction:
         roll, pitch, _ = flight.plant.euler
         tilt = max(tilt, abs(roll), abs(pitch))
     return Reaction(reacted, False)
+
+
+class Descent(NamedTuple):
+    """Time (s) from its beginning after which it only sinks, inf = never; fastest sink (m/s)."""
+
+    sinking: float
+    fastest: float
+
+
+def lose_link_climbing(
+    seed: int, scale: float = 1.0, payload: float = 0.0, climbing: float = 10.0
+) -> Descent:
+    """Take off in gusts without any height sensor, climb at 2 m/s for `climbing` (s), lose the link.
+
+    `scale` is the true thrust per expected thrust, `payload` in kg. Watches the first 12 s of the descent.
+    """
+    expected = CraftParams(payload=payload)
+    craft = replace(expected, gust=0.5, thrust_coefficient=scale * expected.thrust_coefficient)
+    plant = QuadSimulator(craft, ImuErrorParams(), seed=seed)
+    controller = AttitudeController()
+    lost = 8.0 + climbing
+    trim = hover_fraction(craft)
+    rates = []
+
+    def pilot(time: float) -> Setpoint | None:
+        nonlocal trim
+        if round(time / _STEP) % 40 == 0:
+            controller.on_battery(plant.battery())
+        climb = float(plant.x[5])
+        if controller.arming.mode == DESCENT:
+            rates.append(climb)
+        if time < 3.0:
+            return Setpoint(plant.stamp, 0.0, 0.0, 0.0, 0.0, time > 2.0)
+        if time >= lost:
+            return None
+        # A pilot who sees the climb: slow integral, fast proportion.
+        error = (1.0 if time < 5.0 else 0.0 if time < 8.0 else 2.0) - climb
+        trim += 0.02 * _STEP * error
+        return Setpoint(plant.stamp, 0.0, 0.0, 0.0, trim + 0.05 * error, True)
+
+    fly(plant, AttitudeFilter(), controller, lost + 12.5, pilot)
+    descent = np.array(rates)
+    rising = np.flatnonzero(descent >= 0.0)
+    if not len(descent) or (len(rising) and rising[-1] == len(descent) - 1):
+        return Descent(math.inf, math.inf)
+    return Descent((rising[-1] + 1) * _STEP if len(rising) else 0.0, -float(descent.min()))
 
 
 def _killed(seed: int) -> Reaction:

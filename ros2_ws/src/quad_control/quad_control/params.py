@@ -242,7 +242,17 @@ class ArmingParams:
         0.7, 'speed of a descent while a range is heard', unit='m/s', minimum=0.1, maximum=5.0
     )
     descent_throttle: float = parameter(
-        0.95, 'thrust of a descent without range, per hover thrust', minimum=0.0, maximum=1.0
+        0.95,
+        'thrust, per hover thrust, of a descent without height of a craft never seen to leave the ground',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    inflow: float = parameter(
+        0.6,
+        'loss of specific thrust per climb rate (estimate): tells a steady climb from a hover without height',
+        unit='1/s',
+        minimum=0.0,
+        maximum=5.0,
     )
     descent_time: float = parameter(
         60.0,

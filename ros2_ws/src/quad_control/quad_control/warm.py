@@ -14,6 +14,7 @@ from quad_control.simulation import QuadSimulator
 
 # A still window of 0.1 s and some samples more.
 _SECONDS = 0.15
+_PERIOD = 0.005  # s
 
 
 def warm() -> None:
@@ -27,3 +28,5 @@ def warm() -> None:
             flown = AttitudeController(replace(params, controller=controller, notch_frequency=40.0))
             flown.start_flying((1.0, 0.0, 0.0, 0.0), hover_fraction(craft))
             fly(plant, attitude, flown, _SECONDS, constant_pilot(hover_fraction(craft)))
+            flown.kill()
+            fly(plant, attitude, flown, 2.0 * _PERIOD, constant_pilot(0.0))

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from quad_control.altitude import SIZE, Altitude, pressure_height
+from quad_control.altitude import SIZE, Altitude, pressure_height, upward_acceleration
 from quad_control.params import GRAVITY, ControllerParams
 
 DT = 0.005
@@ -20,7 +20,7 @@ def loop(seconds, throttle, hover=0.2, height=2.0, bias=0.0, ranges=True):
             a.correct(z, time)
         thrust = throttle(a)
         force = GRAVITY * thrust / hover
-        a.predict(LEVEL, (0.0, 0.0, force + bias), DT)
+        a.predict(upward_acceleration(LEVEL, (0.0, 0.0, force + bias)), DT)
         v += DT * (force - GRAVITY)
         z += DT * v
         heights.append(z)

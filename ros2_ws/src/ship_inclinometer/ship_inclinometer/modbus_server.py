@@ -283,14 +283,18 @@ class RtuServer:
                 return
 
 
-def configure(file: int, baudrate: int, parity: str) -> None:
-    """Set a terminal to raw bytes at `baudrate`, 8 bits, `parity` 'N', 'E' or 'O' (N has two stop bits)."""
+def configure(file: int, baudrate: int, parity: str, stop_bits: int | None = None) -> None:
+    """Set a terminal to raw bytes at `baudrate`, 8 bits, `parity` 'N', 'E' or 'O'.
+
+    Without `stop_bits` a character has eleven bits, as Modbus wants it: two stop bits if there is no parity.
+    Raises KeyError for a rate that no line has, termios.error for what is no line.
+    """
     attributes = termios.tcgetattr(file)
     control = termios.CS8 | termios.CREAD | termios.CLOCAL
-    if parity == 'N':
-        control |= termios.CSTOPB
-    else:
+    if parity != 'N':
         control |= termios.PARENB | (termios.PARODD if parity == 'O' else 0)
+    if (stop_bits or (2 if parity == 'N' else 1)) == 2:
+        control |= termios.CSTOPB
     attributes[0] = termios.INPCK if parity != 'N' else 0
     attributes[1] = 0
     attributes[2] = control

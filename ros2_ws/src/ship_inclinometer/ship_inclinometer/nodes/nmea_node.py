@@ -3,17 +3,19 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import termios
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
+
 from kalman_core.parameters import ParameterError
+from node_core.diagnostics import ERROR, OK, WARN, status
 from ship_inclinometer import topics
 from ship_inclinometer.alerts import AlertReporter
 from ship_inclinometer.bridge_params import NmeaParams
-from ship_inclinometer.modbus_server import configure
 from ship_inclinometer.nmea import all_sentences
+from ship_inclinometer.nmea_output import SerialOutput, UdpOutput
 from ship_inclinometer.nodes.bridge_node import BridgeNode
 
 # Commands taken in one round: a flood must not hold up the sentences.
@@ -28,11 +30,11 @@ class NmeaNode(BridgeNode):
     def __init__(self) -> None:
         super().__init__('nmea_bridge', NmeaParams)
         self._params: NmeaParams = self.parameters[NmeaParams]
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        self._socket.setblocking(False)
-        self._serial = self._open_serial()
         p = self._params
+        self._udp = UdpOutput(p.udp_host, p.udp_port) if p.udp_host else None
+        self._serial = self._open_serial()
+        self._told_faults: dict[str, str] = {}
+        self._reported_drops = 0
         self._alerts = AlertReporter(p.talker, p.manufacturer) if p.manufacturer else None
         self._pending: list[str] = []
         self._began = time.monotonic()
@@ -42,18 +44,18 @@ class NmeaNode(BridgeNode):
         self._watch_settings()
         self.create_timer(1.0 / self._params.rate, self._send, clock=self.steady_clock)
 
-    def _open_serial(self) -> int | None:
-        path = self._params.serial
-        if not path:
+    def _open_serial(self) -> SerialOutput | None:
+        p = self._params
+        if not p.serial:
             return None
+        line = SerialOutput(p.serial, p.baudrate)
         try:
-            file = os.open(path, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
-            configure(file, self._params.baudrate, 'N')
+            line.connect()
         except KeyError as error:
             raise ParameterError(f"parameter 'baudrate' is {error}, not a rate of serial lines") from error
         except (OSError, termios.error) as error:
-            raise ParameterError(f"parameter 'serial' is {path!r}: {error}") from error
-        return file
+            raise ParameterError(f"parameter 'serial' is {p.serial!r}: {error}") from error
+        return line
 
     def _open_commands(self) -> socket.socket | None:
         p = self._params
@@ -99,12 +101,45 @@ class NmeaNode(BridgeNode):
         p = self._params
         now = self.get_clock().now().nanoseconds
         lines = all_sentences(p.talker, self._picture, now, p.true_heading) + self._alert_sentences(now)
-        text = ''.join(lines).encode('ascii')
-        try:
-            if p.udp_host:
-                self._socket.sendto(text, (p.udp_host, p.udp_port))
-            if self._serial is not None:
-                os.write(self._serial, text)
-        except OSError as error:
-            # A cable that is out is no reason to stop; a full line drops this round, the next is newer.
-            self.get_logger().warning(f'NMEA: {error}', throttle_duration_sec=5.0)
+        for name, output in (('UDP', self._udp), ('serial line', self._serial)):
+            if output is not None:
+                output.send(lines)
+                self._tell(name, output.fault)
+
+    def _tell(self, name: str, fault: str) -> None:
+        """Say once that an output fails, and once that it works again."""
+        if fault == self._told_faults.get(name, ''):
+            return
+        self._told_faults[name] = fault
+        if fault:
+            self.get_logger().warning(f'{name}: {fault}')
+        else:
+            self.get_logger().info(f'{name}: works again')
+
+    def diagnose(self) -> DiagnosticArray:
+        """Report each output: whether it works, and what a line that is too slow has left out."""
+        name = self.get_fully_qualified_name().lstrip('/')
+        out = []
+        if self._udp is not None:
+            udp = self._udp
+            level, text = (ERROR, udp.fault) if udp.fault else (OK, 'ok')
+            out.append(status(f'{name}: UDP', level, text, {'datagrams': udp.sent, 'failed': udp.failed}))
+        if self._serial is not None:
+            line = self._serial
+            fresh = line.dropped - self._reported_drops
+            self._reported_drops = line.dropped
+            level, text = OK, 'ok'
+            if line.fault:
+                level, text = ERROR, line.fault
+            elif fresh:
+                level, text = WARN, f'line too slow: {fresh} old sentences left out since the last report'
+            values = {'sentences': line.sent, 'left_out': line.dropped, 'reopened': line.reopened}
+            out.append(status(f'{name}: serial line', level, text, values))
+        return DiagnosticArray(status=out)
+
+    def destroy_node(self) -> None:
+        """Close the outputs with the node."""
+        for output in (self._udp, self._serial):
+            if output is not None:
+                output.close()
+        super().destroy_node()

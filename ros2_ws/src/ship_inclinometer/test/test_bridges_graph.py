@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bridges as processes: a node that falls silent, a cable that is pulled out."""
+
+import json
+import socket
+import struct
+import time
+import urllib.request
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from serial_cable import Cable
+
+from node_core.testing import Process, probe
+from ship_inclinometer import modbus_map as m
+from ship_inclinometer.codec import IMU, ROLL_NAMES, VALUES, encode_attitude, encode_numbers, encode_validity
+from ship_inclinometer.samples import VALID, Attitude, Validity
+
+ROLLING = dict.fromkeys(ROLL_NAMES, 0.1) | {'status': 0.0, 'roll_period': 12.0, 'peak_age': 60.0}
+
+
+def free_port():
+    with socket.socket() as listener:
+        listener.bind(('127.0.0.1', 0))
+        return listener.getsockname()[1]
+
+
+class Talkers:
+    """What an attitude estimator, a roll analysis and an alarm monitor would say."""
+
+    def __init__(self, p, listeners):
+        self.p = p
+        self.silent = set()
+        kinds = {'imu/data': IMU, 'ship/validity': VALUES, 'ship/roll': VALUES, 'ship/alarms': VALUES}
+        self.topics = {t: p.publisher(kind, t, match=listeners) for t, kind in kinds.items()}
+
+    def talk(self):
+        from sensor_msgs.msg import Imu, JointState
+
+        now = time.time_ns()
+        attitude = Attitude(now, '', (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3, _covariance(), VALID)
+        messages = {'imu/data': Imu(), **{t: JointState() for t in list(self.topics)[1:]}}
+        encode_attitude(attitude, messages['imu/data'])
+        encode_validity(Validity(now, VALID, '', True, (0.001,) * 3), messages['ship/validity'])
+        encode_numbers(messages['ship/roll'], now, ROLLING)
+        encode_numbers(messages['ship/alarms'], now, {'heel_alarm': 1.0, 'alarm_active': 1.0})
+        for topic, publisher in self.topics.items():
+            if topic not in self.silent:
+                publisher.publish(messages[topic])
+
+    def until(self, condition, what, process):
+        def talking():
+            self.talk()
+            return condition()
+
+        return self.p.until(talking, what, process=process)
+
+
+def _covariance():
+    import numpy as np
+
+    return 1e-6 * np.eye(3)
+
+
+def read(port, function, address, count):
+    with socket.create_connection(('127.0.0.1', port), timeout=30.0) as connection:
+        connection.sendall(struct.pack('>HHHBBHH', 1, 0, 6, 1, function, address, count))
+        head = connection.recv(9, socket.MSG_WAITALL)
+        return connection.recv(head[8], socket.MSG_WAITALL)
+
+
+def registers(port):
+    words = struct.unpack(f'>{m.INPUT_COUNT}H', read(port, 4, 0, m.INPUT_COUNT))
+    bits = int.from_bytes(read(port, 2, 0, len(m.DISCRETE)), 'little')
+    told = {name: words[address] for name, address in m.INPUT_ADDRESS.items()}
+    return told | {f'bit {name}': bits >> i & 1 for i, name in enumerate(m.DISCRETE)}
+
+
+def test_what_a_silent_node_said_last_leaves_registers_and_display(tmp_path):
+    page, port = free_port(), free_port()
+    log = {'event_log': str(tmp_path / 'events.db')}
+    modbus = {**log, 'tcp_port': port, 'settings_file': str(tmp_path / 'settings.json')}
+
+    def state():
+        with urllib.request.urlopen(f'http://127.0.0.1:{page}/state', timeout=30.0) as reply:
+            return json.load(reply)
+
+    with (
+        Process.node('ship_inclinometer', 'display', params={**log, 'port': page}) as display,
+        Process.node('ship_inclinometer', 'modbus_bridge', params=modbus) as bridge,
+        probe() as p,
+    ):
+        talkers = Talkers(p, 2)
+
+        def all_known():
+            told = registers(port)
+            return state()['roll_known'] and state()['alarms_known'] and not told['bit roll_unknown'] and told
+
+        told = talkers.until(all_known, 'roll and alarms', bridge)
+        assert told['roll_period'] == 1200
+        assert (told['bit valid'], told['bit heel_alarm'], told['bit alarms_unknown']) == (1, 1, 0)
+        shown = state()
+        assert shown['period'] == 12.0
+        assert shown['alarms']['heel_alarm'] == 1.0
+
+        talkers.silent = {'ship/roll', 'ship/alarms'}
+        talkers.until(lambda: not state()['roll_known'] and not state()['alarms_known'], 'silence', display)
+        talkers.until(
+            lambda: registers(port)['bit roll_unknown'] and registers(port)['bit alarms_unknown'],
+            'silence in the registers',
+            bridge,
+        )
+        told, shown = registers(port), state()
+        assert (told['roll_period'], told['amplitude_port']) == (m.UNKNOWN_UINT16, m.UNKNOWN_UINT16)
+        assert (told['bit heel_alarm'], told['bit rolling']) == (0, 0)
+        assert told['status_more'] == 3
+        assert [shown[n] for n in ('period', 'amplitude_port', 'peak_starboard')] == [None] * 3
+        assert shown['alarms'] == {}
+
+        talkers.silent = set()
+        talkers.until(all_known, 'both again', bridge)
+        assert (display.stop(), bridge.stop()) == (0, 0)
+
+
+def test_nmea_goes_on_over_a_cable_while_the_network_is_out_and_after_the_cable_was(tmp_path):
+    cable = Cable(tmp_path)
+    nowhere = {'udp_host': 'no-such-host.invalid', 'serial': cable.link, 'baudrate': 4800}
+    with (
+        Process.node('ship_inclinometer', 'nmea_bridge', params=nowhere) as bridge,
+        probe() as p,
+    ):
+        diagnostics = p.collect('diagnostic_msgs/msg/DiagnosticArray', '/diagnostics')
+
+        def said(name, level, text):
+            statuses = [s for array in diagnostics for s in array.status if s.name.endswith(name)]
+            diagnostics.clear()
+            return any(s.level == level and text in s.message for s in statuses)
+
+        p.until(lambda: b'$IIHRM' in cable.read(), 'sentences', process=bridge)
+        p.until(lambda: said('UDP', DiagnosticStatus.ERROR, 'no-such-host'), 'no network', process=bridge)
+        # Drained, so that the line carries on: 4800 baud do not hold ten rounds a second.
+        p.until(
+            lambda: cable.read() and said('serial line', DiagnosticStatus.WARN, 'too slow'),
+            'a slow line',
+            process=bridge,
+        )
+        cable.unplug()
+        p.until(lambda: said('serial line', DiagnosticStatus.ERROR, 'tty'), 'no cable', process=bridge)
+        cable.plug()
+        p.until(lambda: b'$IIHRM' in cable.read(), 'sentences again', process=bridge)
+        assert bridge.stop() == 0
+    cable.unplug()

@@ -15,6 +15,8 @@ from quad_control.samples import Setpoint
 _ON, _OFF = 2.0, 0.2
 # Sticks by eye: lean per metre and per m/s away from the start, at most this much (rad).
 _LEAN_POSITION, _LEAN_VELOCITY, _MOST_LEAN = 0.04, 0.1, 0.15
+# The mission holds no higher than this share of what the range finder reaches: a climb overshoots.
+_REACH_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,12 @@ class PilotParams:
     arm: bool = parameter(False, 'arm switch', live=True)
     hold: bool = parameter(False, 'altitude hold switch', live=True)
     height: float = parameter(
-        1.5, 'height of the hover mission', unit='m', minimum=0.3, maximum=50.0, live=True
+        1.5,
+        "height of the hover mission, at most 0.8 of the range finder's reach",
+        unit='m',
+        minimum=0.3,
+        maximum=50.0,
+        live=True,
     )
     climb_throttle: float = parameter(
         0.25, 'throttle of the take-off', unit='fraction', minimum=0.05, maximum=1.0, live=True
@@ -50,12 +57,15 @@ class Pilot:
 
     def __init__(self, params: PilotParams) -> None:
         self.params = params
-        self.height = 0.0
+        # Height (m) of the range finder, None while it sees no ground; how far it reaches (m).
+        self.height: float | None = 0.0
+        self.reach = math.inf
         self._state = 'disarmed'
         self._given_up = False
         self._switch = False
         self._changed = 0
         self._up = False
+        self._blind = False
         # What the pilot sees: position (m, ENU), velocity (m/s, body), yaw (rad).
         self.position = (0.0, 0.0, 0.0)
         self.velocity = (0.0, 0.0, 0.0)
@@ -82,25 +92,63 @@ class Pilot:
         # Stopped motors (a kill, a fault) are for a person to look at: the mission does not arm again.
         self._given_up = self._given_up or name == NAMES[STOPPED]
 
+    def on_range(self, height: float, nearest: float, reach: float) -> None:
+        """Take a range (m) with the limits of its sensor; REP-117: -inf is too near, +inf too far."""
+        if reach > nearest >= 0.0:
+            self.reach = reach
+        if height < nearest:
+            self.height = 0.0
+        else:
+            self.height = height if height <= self.reach else None
+
+    @property
+    def target(self) -> float:
+        """Height (m) at which the mission holds: what is asked, or what can be measured."""
+        return min(self.params.height, _REACH_SHARE * self.reach)
+
+    @property
+    def trouble(self) -> str:
+        """Why the mission does not do what it is told, or an empty string."""
+        if self.params.mission == 'manual':
+            return ''
+        if self.height is None:
+            return (
+                'no ground in the range finder: no take-off, and in the air no setpoint (the craft descends)'
+            )
+        if self.target < self.params.height:
+            return (
+                f'height is {self.params.height:g} m, the range finder reaches {self.reach:g} m: '
+                f'holds at {self.target:g} m'
+            )
+        return ''
+
     def step(self, stamp: int) -> Setpoint | None:
-        """Return the sticks at `stamp` (ns), or None when the craft is out of the link's range."""
+        """Return the sticks at `stamp` (ns), or None: the craft is out of the link's range, or too high."""
         p = self.params
         if math.hypot(*self.position) > p.link_range:
             return None
         if p.mission == 'manual':
             return Setpoint(stamp, p.roll, p.pitch, p.yaw_rate, p.throttle, p.arm, p.hold)
-        if self._given_up:
+        flying = self.state in (NAMES[ARMED], NAMES[DESCENT])
+        if flying and self._sinks_into_sight():
+            return None
+        if self._given_up or self.height is None:
             return Setpoint(stamp, 0.0, 0.0, 0.0, 0.0, False)
         # A descent is a flight too: the switch stays on.
-        if self.state not in (NAMES[ARMED], NAMES[DESCENT]):
+        if not flying:
             self._up = False
             # Off and on again: a switch that stays on is not a wish to arm.
             if stamp - self._changed > (_ON if self._switch else _OFF) * 1e9:
                 self._switch, self._changed = not self._switch, stamp
             return Setpoint(stamp, 0.0, 0.0, 0.0, 0.0, self._switch)
-        self._up = self._up or self.height > p.height
+        self._up = self._up or self.height > self.target
         roll, pitch = self._by_eye()
         return Setpoint(stamp, p.roll + roll, p.pitch + pitch, p.yaw_rate, p.climb_throttle, True, self._up)
+
+    def _sinks_into_sight(self) -> bool:
+        """Whether the ground is out of sight: the failsafe brings the craft down to the target height."""
+        self._blind = self.height is None or (self._blind and self.height > self.target)
+        return self._blind
 
     def _by_eye(self) -> tuple[float, float]:
         """Return the lean (rad) that brings the craft back over its start."""

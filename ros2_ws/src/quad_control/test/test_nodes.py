@@ -8,6 +8,7 @@ from contextlib import ExitStack
 
 import pytest
 from page_backend import has_ipv6
+from sensor_msgs.msg import Range
 
 from node_core.testing import Process, probe
 
@@ -185,6 +186,25 @@ def test_the_page_is_served_on_an_ipv6_address():
             watcher.until(lambda: 'page: http://[::1]:' in process.output, 'the page', process=process)
         nodes = {'web_tuner': process}
         assert ask(nodes, 'api/state', origin=url(nodes).rstrip('/'))[0] == 200
+        assert process.stop() == 0
+
+
+def test_a_mission_beyond_the_range_finder_is_a_warning_on_the_terminal_and_in_diagnostics():
+    with (
+        Process.node('quad_control', 'pilot', params={'mission': 'hover', 'height': 45.0}) as process,
+        probe() as watcher,
+    ):
+        heard = watcher.collect('diagnostic_msgs/msg/DiagnosticArray', '/diagnostics')
+        publisher = watcher.publisher('sensor_msgs/msg/Range', 'range', process=process)
+        message = Range(min_range=0.0, max_range=40.0, range=1.0)
+
+        def warned():
+            publisher.publish(message)
+            statuses = [s for array in heard for s in array.status if s.name == 'pilot']
+            return any('holds at 32 m' in s.message and s.level == b'\x01' for s in statuses)
+
+        watcher.until(warned, 'the warning', process=process)
+        assert 'the range finder reaches 40 m: holds at 32 m' in process.output
         assert process.stop() == 0
 
 

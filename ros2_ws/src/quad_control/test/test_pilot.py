@@ -2,6 +2,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from quad_control.arming import NAMES
@@ -79,3 +80,61 @@ def test_a_pilot_leans_back_towards_the_start_in_any_heading():
     assert pilot.step(1).pitch < 0.0  # ahead of the start: nose up, backwards
     pilot.yaw = math.pi / 2
     assert pilot.step(1).roll < 0.0  # the start is to the left now: left side down
+
+
+def fly_mission(height, reach, seconds, silent_from=math.inf):
+    """Fly the hover mission with a range finder that reaches so far. Returns heights (m) by 5 ms."""
+    plant = QuadSimulator(CraftParams(), ImuErrorParams(), seed=3)
+    pilot, controller = Pilot(PilotParams(mission='hover', height=height)), AttitudeController()
+    heights = []
+
+    def sticks(time):
+        if round(time * 200) % 10 == 0 and time < silent_from:
+            sample = plant.range()
+            pilot.on_range(sample.height if sample.height <= reach else math.inf, 0.05, reach)
+            if sample.height <= reach:
+                controller.on_range(sample)
+        elif time >= silent_from:
+            pilot.height = None
+        truth = plant.truth()
+        pilot.position, pilot.velocity, pilot.yaw = truth.position, truth.velocity, plant.euler[2]
+        pilot.state = NAMES[controller.arming.mode]
+        heights.append(plant.x[2])
+        return pilot.step(plant.stamp)
+
+    fly(plant, AttitudeFilter(), controller, seconds, sticks)
+    return pilot, np.array(heights)
+
+
+@pytest.mark.parametrize('reach', [4.0, 40.0])
+def test_a_mission_beyond_the_reach_of_the_range_finder_holds_where_it_measures_and_says_so(reach):
+    pilot, heights = fly_mission(50.0, reach, 40.0)
+    assert pilot.target == 0.8 * reach
+    assert f'the range finder reaches {reach:g} m' in pilot.trouble
+    assert heights.max() < reach + 6.0
+    assert 0.4 * reach < heights[-2000:].min()
+    assert heights[-2000:].max() < reach
+
+
+def test_a_mission_within_reach_is_flown_as_told():
+    pilot, heights = fly_mission(3.0, 40.0, 20.0)
+    assert pilot.trouble == ''
+    assert heights[-600:] == pytest.approx(3.0, abs=2.0)
+
+
+def test_a_range_finder_that_dies_in_the_air_brings_the_craft_down():
+    pilot, heights = fly_mission(3.0, 40.0, 45.0, silent_from=15.0)
+    assert 'no ground in the range finder' in pilot.trouble
+    assert heights.max() < 8.0
+    assert heights[-1] < 0.1
+
+
+def test_without_a_range_finder_the_mission_does_not_take_off():
+    pilot = Pilot(PilotParams(mission='hover'))
+    pilot.on_range(math.inf, 0.1, 10.0)
+    assert pilot.height is None
+    assert not any(pilot.step(round(i * 1e8)).arm for i in range(60))
+    pilot.on_range(-math.inf, 0.1, 10.0)
+    assert pilot.height == 0.0
+    assert any(pilot.step(round((60 + i) * 1e8)).arm for i in range(60))
+    assert Pilot(PilotParams()).trouble == ''

@@ -46,6 +46,11 @@ _SILENCE = 0.5  # s
 # Noise of two counts makes equal triples rare: so many in a row mean a hung chip.
 _FROZEN_SAMPLES = 50
 _MAX_RANGE = len(RANGES) - 1
+# Counts of the converter; what is outside and no overflow was never measured.
+_LOWEST_COUNT, _HIGHEST_COUNT = -2048, 2047
+# Polls of one measurement, and limits of the pause between them (s): a reading is a few milliseconds old when
+# it is told, and at a low rate the processor is left alone.
+_POLLS, _SHORTEST_POLL, _LONGEST_POLL = 4.0, 2e-3, 5e-3
 _IDENTITY_READS = 3
 
 
@@ -61,7 +66,7 @@ class MagReading(NamedTuple):
 
 
 class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
-    """Reads an HMC5883L for as long as it lives; `poll` is called `rate` times a second and never blocks."""
+    """Reads an HMC5883L for as long as it lives; `poll` is called every `poll_period` and never blocks."""
 
     def _address(self) -> int:
         return ADDRESS
@@ -75,14 +80,25 @@ class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
         self._step: Callable[[I2cDevice, int], list[MagReading]] = self._identify
         self._not_before: int | None = None
         self._triggered = 0
+        # By the steady clock (ns): when the measurement under way was asked for, None when there is none, and
+        # when the present and the last one were due.
+        self._asked: int | None = None
+        self._due = 0
         # The measurement after a change of gain is still made with the gain before.
         self._old_gain = True
-        self._last_data = 0
+        self._last_reading = 0
         self._next_check = 0
         self._previous = b''
         self._equal = 0
         self.readings = 0
         self.overflows = 0
+        self._overflowing = False
+        self._reported_overflows = 0
+
+    @property
+    def poll_period(self) -> float:
+        """Time between two polls (s)."""
+        return min(max(1.0 / (_POLLS * self._params.rate), _SHORTEST_POLL), _LONGEST_POLL)
 
     @property
     def running(self) -> bool:
@@ -119,7 +135,16 @@ class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
     def diagnostics(self) -> dict[str, Any]:
         """Return what /diagnostics says; 'level' is 0 (ok), 1 (warning) or 2 (error)."""
         link = self.link
-        if self.running:
+        fresh = self.overflows - self._reported_overflows
+        self._reported_overflows = self.overflows
+        silent = (self._steady() - self._last_reading) * 1e-9
+        if self.running and self._overflowing and self._gain == _MAX_RANGE:
+            level, message = 2, f'out of range: field over {RANGES[_MAX_RANGE]} gauss, nothing is published'
+        elif self.running and silent > max(_SILENCE, 3.0 / self._params.rate):
+            level, message = 1, f'no reading for {silent:.1f} s'
+        elif self.running and fresh:
+            level, message = 1, f'overflow: the range is {RANGES[self._gain]} gauss now'
+        elif self.running:
             level, message = 0, 'ok'
         elif link.last_fault:
             level, message = 2, f'no samples: {link.last_fault}'
@@ -161,9 +186,12 @@ class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
         self._check_settings(device)
         self._trigger(device)
         self._old_gain = True
-        self._last_data = now
+        self._due = now
+        # Setting up anew after a fault is no reading.
+        self._last_reading = self._last_reading or now
         self._next_check = now + int(_CHECK_PERIOD * _SECOND)
         self._equal = 0
+        self._overflowing = False
         self._step = self._run
 
     def _settings(self) -> tuple[int, int]:
@@ -177,7 +205,17 @@ class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
     def _trigger(self, device: I2cDevice) -> None:
         device.write(MODE, MODE_SINGLE)
         self._triggered = self._clock()
-        self._not_before = self._steady() + int(_WAIT * _SECOND)
+        self._asked = self._steady()
+        self._not_before = self._asked + int(_WAIT * _SECOND)
+
+    def _trigger_in_time(self, device: I2cDevice, now: int) -> None:
+        """Ask for the next measurement when it is due; what is late does not put off those after it."""
+        period = round(_SECOND / self._params.rate)
+        self._due = max(self._due + period, now - period)
+        if self._due <= now:
+            self._trigger(device)
+        else:
+            self._asked, self._not_before = None, self._due
 
     def _fetch(self, device: I2cDevice) -> bytes | None:
         """Return the six data bytes of the measurement asked for, None while it is not ready."""
@@ -206,13 +244,15 @@ class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
         return []
 
     def _run(self, device: I2cDevice, now: int) -> list[MagReading]:
+        if self._asked is None:
+            self._trigger(device)
+            return []
         data = self._fetch(device)
         if data is None:
-            if (now - self._last_data) * 1e-9 > _SILENCE:
+            if (now - self._asked) * 1e-9 > _SILENCE:
                 self._check_settings(device)
                 raise OSError('no measurement becomes ready')
             return []
-        self._last_data = now
         if now >= self._next_check:
             self._check_settings(device)
             self._next_check = now + int(_CHECK_PERIOD * _SECOND)
@@ -220,14 +260,23 @@ class Hmc5883lDriver(ChipDriver[Hmc5883lParams]):
         gain = GAINS[self._gain]
         x, z, y = np.frombuffer(data, '>i2').tolist()
         overflow = OVERFLOW in (x, y, z)
+        if not overflow and not all(_LOWEST_COUNT <= value <= _HIGHEST_COUNT for value in (x, y, z)):
+            raise OSError(f'{x}, {y}, {z} counts are more than the converter has')
         old_gain, self._old_gain = self._old_gain, False
         if overflow and not old_gain:
+            self._overflowing = True
             self._enlarge_range(device)
-        self._trigger(device)
-        if overflow or old_gain:
+        if old_gain or self._old_gain:
+            # Nothing to tell: the next one is not waited for.
+            self._trigger(device)
             return []
+        self._trigger_in_time(device, now)
+        if overflow:
+            return []
+        self._overflowing = False
         self._watch_frozen(data)
         self.link.works()
+        self._last_reading = now
         self.readings += 1
         return [MagReading(measured_at, self._rotation @ (np.array([x, y, z]) * (TESLA_PER_GAUSS / gain)))]
 

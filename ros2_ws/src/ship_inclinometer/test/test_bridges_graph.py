@@ -149,3 +149,16 @@ def test_nmea_goes_on_over_a_cable_while_the_network_is_out_and_after_the_cable_
         p.until(lambda: b'$IIHRM' in cable.read(), 'sentences again', process=bridge)
         assert bridge.stop() == 0
     cable.unplug()
+
+
+def test_the_magnetometer_is_read_at_its_rate():
+    with (
+        Process.node('ship_inclinometer', 'hmc5883l_driver', params={'bus': 'fake', 'rate': 20.0}) as driver,
+        probe() as p,
+    ):
+        readings = p.collect('sensor_msgs/msg/MagneticField', 'imu/mag')
+        p.until(lambda: len(readings) > 40, 'readings', process=driver)
+        stamps = [r.header.stamp.sec + 1e-9 * r.header.stamp.nanosec for r in readings[-40:]]
+        # A machine that is busy may be late, but never early.
+        assert (stamps[-1] - stamps[0]) / 39 > 0.95 / 20.0
+        assert driver.stop() == 0

@@ -32,7 +32,7 @@ class Rig:
         readings = []
         due, end = self.clock(), self.clock() + seconds * SECOND
         while due < end:
-            due += SECOND / self.params.rate
+            due += SECOND * self.driver.poll_period
             self.clock.advance(max(0, due - self.clock()))
             readings += self.driver.poll()
         return readings
@@ -182,6 +182,73 @@ def test_a_field_beyond_every_range_is_reported_not_published():
     rig = Rig(field=lambda t: np.array([2e-3, 0.0, 0.0]))
     assert rig.run(3.0) == []
     assert rig.driver.overflows > 100
+    said = rig.driver.diagnostics()
+    assert said['level'] == 2
+    assert 'over 8.1 gauss' in said['message']
+
+
+@pytest.mark.parametrize('rate', [1.0, 2.0, 10.0, 50.0, 75.0, 76.0, 80.0, 100.0])
+def test_it_measures_at_the_rate_and_tells_at_once(rate):
+    rig = Rig(rate=rate)
+    rig.run(1.0)
+    ages, count, start = [], 0, rig.clock()
+    while rig.clock() - start < 20 * SECOND:
+        ages += [(rig.clock() - r.stamp) * 1e-9 for r in rig.run(rig.driver.poll_period)]
+        count += 1
+    assert len(ages) / 20.0 == pytest.approx(rate, rel=0.03, abs=0.06)
+    assert len(rig.chip.measured_at) == 1000 or len(rig.chip.measured_at) < 21.0 * rate + 5
+    # Half a measurement, the wait for its end, one poll and the transfers.
+    assert max(ages) < 0.012
+    assert rig.driver.diagnostics()['level'] == 0
+
+
+def test_an_overflow_is_told_with_the_new_range_and_then_forgotten():
+    rig = Rig(field=lambda t: FIELD if t < 2.5 else np.array([350e-6, 0.0, 0.0]), rate=1.0)
+    rig.run(2.4)
+    assert rig.driver.diagnostics()['level'] == 0
+    # A range takes two measurements, for which the next second is not waited.
+    assert len(rig.run(3.0)) >= 2
+    assert (rig.driver.diagnostics()['level'], rig.driver.overflows) == (1, 3)
+    rig.run(2.0)
+    assert rig.driver.diagnostics()['level'] == 0
+
+
+def test_a_field_that_comes_back_into_range_is_published_again():
+    rig = Rig(field=lambda t: np.array([2e-3, 0.0, 0.0]) if 1.0 < t < 3.0 else FIELD)
+    rig.run(2.5)
+    assert rig.driver.diagnostics()['level'] == 2
+    readings = rig.run(3.0)
+    np.testing.assert_allclose(fields(readings).mean(axis=0), FIELD, atol=3e-7)
+    # Once more, for what has happened since; then all is well.
+    assert [rig.driver.diagnostics()['level'] for _ in range(2)] == [1, 0]
+
+
+def test_counts_that_no_converter_makes_are_a_fault():
+    rig = Rig()
+    rig.run(1.0)
+    honest, rig.chip._measure = rig.chip._measure, lambda done: None
+
+    def impossible(done):
+        honest(done)
+        rig.chip.registers[3:5] = (3000).to_bytes(2, 'big')
+
+    rig.chip._measure = impossible
+    assert rig.run(1.0) == []
+    assert any('more than the converter has' in reason for reason in rig.driver.link.faults)
+    rig.chip._measure = honest
+    assert len(rig.run(3.0)) > 50
+
+
+def test_a_measurement_that_never_becomes_ready_is_a_fault_and_told():
+    rig = Rig()
+    rig.run(1.0)
+    honest, rig.chip._measure = rig.chip._measure, lambda done: None
+    rig.chip.registers[9] &= ~1
+    rig.run(1.5)
+    assert any('becomes ready' in reason for reason in rig.driver.link.faults)
+    assert rig.driver.diagnostics()['level'] >= 1
+    rig.chip._measure = honest
+    assert len(rig.run(5.0)) > 100
 
 
 def test_a_stuck_bus_is_waited_for():

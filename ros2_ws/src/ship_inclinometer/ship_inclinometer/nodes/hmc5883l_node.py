@@ -42,8 +42,7 @@ class Hmc5883lNode(WorkspaceNode):
         )
         self._publisher, self._message = self.publish_to(FIELD, topics.MAG)
         self._message.header.frame_id = self._params.frame_id
-        # Twice the rate: data-ready is seen within half a period.
-        self.create_timer(0.5 / self._params.rate, self._poll, clock=self.steady_clock)
+        self.create_timer(self.driver.poll_period, self._poll, clock=self.steady_clock)
 
     def _opener(self) -> Any:
         if self._params.bus == 'fake':

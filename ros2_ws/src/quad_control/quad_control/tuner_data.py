@@ -13,7 +13,7 @@ from quad_control.web_server import Gain, History
 
 ACTIONS = (
     'takeoff',
-    'land',
+    'disarm',
     'step_roll',
     'step_pitch',
     'autotune_roll',

@@ -126,7 +126,7 @@ class WebTunerNode(WorkspaceNode):
         if name == 'takeoff':
             await self._set_parameters(PILOT, {'mission': 'hover'})
             return 'The pilot arms and takes off.'
-        if name == 'land':
+        if name == 'disarm':
             await self._set_parameters(PILOT, {'mission': 'manual', 'arm': False, 'throttle': 0.0})
             return 'The pilot has turned the arm switch off.'
         axis = name.removeprefix('step_')

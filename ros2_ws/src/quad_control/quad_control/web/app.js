@@ -11,7 +11,7 @@ if (fragment.has('token')) {
 const token = sessionStorage.getItem('token') || '';
 const TABS = ['roll', 'pitch', 'yaw', 'common'];
 const LABELS = {
-  land: 'Disarm', takeoff: 'Take off', step_roll: 'Step roll 10°', step_pitch: 'Step pitch 10°',
+  disarm: 'Disarm', takeoff: 'Take off', step_roll: 'Step roll 10°', step_pitch: 'Step pitch 10°',
   autotune_roll: 'Roll', autotune_pitch: 'Pitch', autotune_yaw: 'Yaw', apply_proposal: 'Apply proposal',
 };
 const samples = [];

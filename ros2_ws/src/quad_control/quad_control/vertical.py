@@ -51,6 +51,8 @@ _LAG = 0.05
 # It stands on something: less thrust than this per hover thrust and still this share of gravity felt for so
 # long (s), while it does not fall (m/s).
 _IDLE, _CARRIED, _LANDED_TIME, _FALLING = 0.3, 0.7, 1.0, 3.0
+# A specific force (m/s²) beyond this is a blow, or nonsense (8 g).
+_MOST_FORCE = 80.0
 # A gain that hovers at 2 % of the thrust, or does not hover at all, is none.
 _LEAST_GAIN, _MOST_GAIN = GRAVITY, 50.0 * GRAVITY
 # A descent adds the σ of the climb rate to its own rate, up to this (m/s), so that it sinks all the same; its
@@ -111,6 +113,8 @@ def step(s, force_up, force_z, cosine, thrust, dt, aim, aim_noise, inflow):
     mean fraction that the motors were given; aim: climb rate (m/s) that is expected with root density
     `aim_noise` (m/s/√Hz), 0 = none is; inflow: loss of specific force per climb rate (1/s).
     """
+    if max(abs(force_up), abs(force_z)) > _MOST_FORCE:
+        return
     s[_THRUST] += min(dt / _LAG, 1.0) * (thrust - s[_THRUST])
     _predict(s, force_up, dt)
     h = np.zeros(3)

@@ -106,6 +106,14 @@ def test_an_idle_craft_that_is_carried_has_landed_and_one_that_falls_has_not():
         assert f.known != landed
 
 
+def test_a_force_that_no_flight_makes_leaves_nothing_behind():
+    f = new()
+    f.start(0.15)
+    before = f.state.copy()
+    fly_level(f, 1e300, 0.15, DT)
+    assert np.array_equal(f.state, before)
+
+
 def test_a_descent_neither_falls_nor_climbs_away():
     f = new()
     f.start(0.15)

@@ -108,7 +108,7 @@ class TcpServer:
         self._touch(writer)
         try:
             await self._talk(reader, writer, f'tcp {host}:{peer[1]}')
-        except (ConnectionError, FramingLostError):
+        except (OSError, FramingLostError):
             # The peer has gone, or has lost the framing: both end the connection and nothing else.
             pass
         finally:
@@ -134,7 +134,10 @@ class TcpServer:
         while True:
             try:
                 chunk = await asyncio.wait_for(reader.read(4096), _TCP_PAUSE if buffer else None)
-            except TimeoutError:
+            except TimeoutError as error:
+                if error.errno is not None:
+                    # The system's probes stayed unanswered: no pause, and every further read would fail alike.
+                    raise
                 buffer = b''
                 continue
             if not chunk:
@@ -200,8 +203,7 @@ class RtuServer:
     def _open(self) -> None:
         file = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
-            if os.isatty(file):
-                configure(file, self._baudrate, self._parity)
+            configure(file, self._baudrate, self._parity)
         except termios.error:
             os.close(file)
             raise
@@ -215,6 +217,7 @@ class RtuServer:
             asyncio.get_running_loop().remove_reader(self._file)
             os.close(self._file)
             self._file = None
+        self._buffer = self._expected_echo = b''
 
     def _lost(self) -> None:
         """The line has gone (adapter unplugged): try once a second to open it again."""

@@ -136,7 +136,7 @@ class TcpServer:
                 chunk = await asyncio.wait_for(reader.read(4096), _TCP_PAUSE if buffer else None)
             except TimeoutError as error:
                 if error.errno is not None:
-                    # The system's probes stayed unanswered: no pause, and every further read would fail alike.
+                    # The system's probes stayed unanswered; every further read would fail alike.
                     raise
                 buffer = b''
                 continue

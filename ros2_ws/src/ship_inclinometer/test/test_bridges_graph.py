@@ -2,18 +2,33 @@
 """The bridges as processes: a node that falls silent, a cable that is pulled out."""
 
 import json
+import math
+import shutil
 import socket
 import struct
 import time
 import urllib.request
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from serial_cable import Cable
 
+from node_core.message_types import message_class
+from node_core.node import reliable
 from node_core.testing import Process, probe
 from ship_inclinometer import modbus_map as m
-from ship_inclinometer.codec import IMU, ROLL_NAMES, VALUES, encode_attitude, encode_numbers, encode_validity
-from ship_inclinometer.samples import VALID, Attitude, Validity
+from ship_inclinometer.codec import (
+    IMU,
+    ROLL_NAMES,
+    VALUES,
+    VECTOR,
+    encode_angles,
+    encode_attitude,
+    encode_numbers,
+    encode_validity,
+)
+from ship_inclinometer.roll_analysis import NO_ROLL
+from ship_inclinometer.samples import VALID, Angles, Attitude, Validity
 
 ROLLING = dict.fromkeys(ROLL_NAMES, 0.1) | {'status': 0.0, 'roll_period': 12.0, 'peak_age': 60.0}
 
@@ -27,21 +42,27 @@ def free_port():
 class Talkers:
     """What an attitude estimator, a roll analysis and an alarm monitor would say."""
 
-    def __init__(self, p, listeners):
+    def __init__(self, p, listeners, attitude='imu/data'):
         self.p = p
         self.silent = set()
-        kinds = {'imu/data': IMU, 'ship/validity': VALUES, 'ship/roll': VALUES, 'ship/alarms': VALUES}
-        self.topics = {t: p.publisher(kind, t, match=listeners) for t, kind in kinds.items()}
+        self.rolling = ROLLING
+        kind = IMU if attitude == 'imu/data' else VECTOR
+        kinds = {attitude: kind, 'ship/validity': VALUES, 'ship/roll': VALUES, 'ship/alarms': VALUES}
+        self.messages = {t: message_class(kind)() for t, kind in kinds.items()}
+        matches = {t: listeners for t in kinds if t != 'ship/alarms' or attitude == 'imu/data'}
+        # Latched suits every subscriber.
+        qos = reliable(10, latched=True)
+        self.topics = {t: p.publisher(kinds[t], t, match=n, qos=qos) for t, n in matches.items()}
 
     def talk(self):
-        from sensor_msgs.msg import Imu, JointState
-
-        now = time.time_ns()
-        attitude = Attitude(now, '', (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3, _covariance(), VALID)
-        messages = {'imu/data': Imu(), **{t: JointState() for t in list(self.topics)[1:]}}
-        encode_attitude(attitude, messages['imu/data'])
+        now, messages, zeros = time.time_ns(), self.messages, (0.0,) * 3
+        if 'imu/data' in messages:
+            attitude = Attitude(now, '', (1.0, 0.0, 0.0, 0.0), zeros, zeros, 1e-6 * np.eye(3), VALID)
+            encode_attitude(attitude, messages['imu/data'])
+        else:
+            encode_angles(Angles(now, '', zeros, zeros, zeros, VALID), messages['ship/attitude'])
         encode_validity(Validity(now, VALID, '', True, (0.001,) * 3), messages['ship/validity'])
-        encode_numbers(messages['ship/roll'], now, ROLLING)
+        encode_numbers(messages['ship/roll'], now, self.rolling)
         encode_numbers(messages['ship/alarms'], now, {'heel_alarm': 1.0, 'alarm_active': 1.0})
         for topic, publisher in self.topics.items():
             if topic not in self.silent:
@@ -53,12 +74,6 @@ class Talkers:
             return condition()
 
         return self.p.until(talking, what, process=process)
-
-
-def _covariance():
-    import numpy as np
-
-    return 1e-6 * np.eye(3)
 
 
 def read(port, function, address, count):
@@ -118,7 +133,42 @@ def test_what_a_silent_node_said_last_leaves_registers_and_display(tmp_path):
 
         talkers.silent = set()
         talkers.until(all_known, 'both again', bridge)
+        talkers.silent = {'imu/data'}
+        talkers.until(lambda: state()['validity'] == 2, 'no attitude', display)
+        assert [state()[n] for n in ('roll', 'pitch', 'heading', 'sigma')] == [None] * 4
         assert (display.stop(), bridge.stop()) == (0, 0)
+
+
+def test_the_alarm_monitor_says_what_it_cannot_judge_and_the_roll_alarm_ends_with_the_rolling(tmp_path):
+    log = tmp_path / 'log' / 'events.db'
+    limits = {'event_log': str(log), 'roll_alarm': 5.0, 'alarm_delay': 0.2}
+    with Process.node('ship_inclinometer', 'alarm_monitor', params=limits) as monitor, probe() as p:
+        diagnostics = p.collect('diagnostic_msgs/msg/DiagnosticArray', '/diagnostics')
+        alarms = p.collect('sensor_msgs/msg/JointState', 'ship/alarms')
+        talkers = Talkers(p, 1, 'ship/attitude')
+
+        def said(level, text):
+            statuses = [s for array in diagnostics for s in array.status if s.name == 'alarm_monitor']
+            diagnostics.clear()
+            return any(s.level == level and text in s.message for s in statuses)
+
+        def active(name):
+            return bool(alarms) and dict(zip(alarms[-1].name, alarms[-1].position))[name] == 1.0
+
+        assert p.set_parameter('alarm_monitor', 'hysteresis', 6.0).successful is False
+        talkers.until(lambda: said(DiagnosticStatus.OK, 'ok'), 'all is well', monitor)
+        talkers.until(lambda: active('roll_alarm'), 'the roll alarm', monitor)
+        talkers.rolling = dict.fromkeys(ROLL_NAMES, math.nan) | {'status': float(NO_ROLL)}
+        talkers.until(lambda: not active('roll_alarm'), 'its end', monitor)
+        talkers.silent = {'ship/roll'}
+        talkers.until(lambda: said(DiagnosticStatus.WARN, 'no roll analysis'), 'no roll', monitor)
+        talkers.until(lambda: active('sensor_alarm'), 'the alarm for it', monitor)
+        # A log that cannot be written, and an alarm all the same.
+        talkers.silent = {'ship/roll', 'ship/attitude'}
+        shutil.rmtree(log.parent)
+        p.call('std_srvs/srv/Trigger', 'alarm_monitor/silence')
+        talkers.until(lambda: said(DiagnosticStatus.ERROR, 'events.db'), 'the log', monitor)
+        assert active('sensor_alarm')
 
 
 def test_nmea_goes_on_over_a_cable_while_the_network_is_out_and_after_the_cable_was(tmp_path):

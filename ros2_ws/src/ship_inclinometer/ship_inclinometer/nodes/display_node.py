@@ -70,17 +70,18 @@ class DisplayNode(BridgeNode):
         now = self.get_clock().now().nanoseconds
         picture = self._picture
         validity, reason = picture.shown_validity(now)
+        known = validity != INVALID
         alarms = picture.shown_alarms(now)
         rolling = ('amplitude_port', 'amplitude_starboard', 'peak_port', 'peak_starboard')
         return {
             'time': now * 1e-9,
             'validity': validity,
             'reason': reason,
-            'roll': picture.shown_roll,
-            'pitch': picture.pitch,
-            'heading': picture.heading,
-            'heading_valid': picture.heading_valid,
-            'sigma': picture.sigma_roll,
+            'roll': picture.shown_roll if known else math.nan,
+            'pitch': picture.pitch if known else math.nan,
+            'heading': picture.heading if known and picture.heading_valid else math.nan,
+            'heading_valid': known and picture.heading_valid,
+            'sigma': picture.sigma_roll if known else math.nan,
             'roll_known': picture.rolling_known(now),
             'no_roll': picture.number('status', now) == NO_ROLL,
             'period': picture.number('roll_period', now),

@@ -37,6 +37,7 @@ from ins_gps.channels import (
 )
 from ins_gps.constants import (
     SPEED_OF_LIGHT,
+    WAVELENGTH_L1,
 )
 from ins_gps.correction import ACCEPTED, EXCLUDED, UNUSED, joint_update
 from ins_gps.faults import clone_signatures, spread_signatures
@@ -75,6 +76,27 @@ def line_of_sight_row(H, los_n, lever_n):
     H[ATT] = los_n[1] * lever_n[2] - los_n[2] * lever_n[1]
     H[ATT + 1] = los_n[2] * lever_n[0] - los_n[0] * lever_n[2]
     H[ATT + 2] = los_n[0] * lever_n[1] - los_n[1] * lever_n[0]
+
+
+@njit(cache=True, nogil=True)
+def _walk_variance(config, rows, use, i, dt):
+    """Return the variance (m²) of the walk of row i's carrier over dt (s).
+
+    It is the atmosphere's: it grows with the square of the wavelength, as the ionosphere's share does, and
+    all bands of a satellite have it in common. Each of n bands gets n times the variance, so that together
+    they weigh as one.
+    """
+    bands = 0
+    for j in range(len(rows)):
+        if (
+            use[j] >= 0
+            and rows[j, 0] == rows[i, 0]
+            and rows[j, 1] == rows[i, 1]
+            and math.isfinite(rows[j, 4])
+        ):
+            bands += 1
+    walk = config[CARRIER_WALK] * (wavelength(rows[i, 2]) / WAVELENGTH_L1) ** 2
+    return bands * walk * walk * dt
 
 
 @njit(cache=True, nogil=True)
@@ -129,7 +151,7 @@ def carrier_update(state, channels, config, rows, use, site, mat_en, lever_n, dt
             if valid:
                 change += rate * dt
         nu[i] = change - (now - before) - (state[CLOCK] - state[CLONE_CLOCK]) + state[at + C_NOISE]
-        R[i] = white + config[CARRIER_WALK] ** 2 * dt
+        R[i] = white + _walk_variance(config, rows, use, i, dt)
         if config[RATE_CORRECTION] > 0.0:
             R[i] += 2.0 * white
         status[i] = ACCEPTED

@@ -12,6 +12,7 @@ from ins_gps.constants import (
     FREQUENCY_L2,
     FREQUENCY_L5,
     SPEED_OF_LIGHT,
+    WAVELENGTH_L1,
 )
 from ins_gps.faults import close_hypothesis
 from ins_gps.layout import (
@@ -67,8 +68,10 @@ from kalman_core.earth import ecef_from_geodetic
     PUBLISHED_RATE_NOISE,  # m/s, of the carrier difference taken as a rate
     CARRIER_INTERVAL,  # s, longest carrier difference
     FAULT_GATE,  # statistic of a drifting code
-) = range(CONFIG_PREDICTION, CONFIG_PREDICTION + 23)
-CONFIG_SIZE = CONFIG_PREDICTION + 23
+    CODE_BAND,  # m, constant per signal of another band, against the first band's of its satellite
+    CODE_BAND_COMMON,  # m, the part of it that all satellites share: the receiver's delay of the band
+) = range(CONFIG_PREDICTION, CONFIG_PREDICTION + 25)
+CONFIG_SIZE = CONFIG_PREDICTION + 25
 
 # What became of a row, reported per satellite.
 ROW_UNUSED, ROW_USED, ROW_CODE_REJECTED, ROW_LOW, ROW_NO_ORBIT, ROW_DRIFTS = 0, 1, 2, 3, 4, 5
@@ -81,6 +84,7 @@ SUMMARY = 6
 
 # A channel that was not seen for this long (s) starts its errors anew: the satellite has moved on.
 _FORGET = 600.0
+FIRST_BAND = 1.0  # L1 and E1: the band of DGPS corrections and broadcast clocks
 
 
 @njit(cache=True, nogil=True)
@@ -114,14 +118,96 @@ def signal_key(row):
 
 
 @njit(cache=True, nogil=True)
+def _first_band_of(state, channels, channel):
+    """Return the channel of the same satellite's first band, alike in correction and in use, or -1."""
+    at = HEAD + channel * CHANNEL_WIDTH
+    name = state[at + C_KEY] - 1.0
+    wanted = state[at + C_KEY] - name % 10.0 + FIRST_BAND
+    for i in range(channels):
+        other = HEAD + i * CHANNEL_WIDTH
+        if i == channel or state[other + C_KEY] != wanted or state[other + C_BARRED] > 0.0:
+            continue
+        if (
+            state[other + C_CORRECTED] == state[at + C_CORRECTED]
+            and state[SEC] - state[other + C_SEC] < _FORGET
+        ):
+            return i
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _pair_of_band(state, channels, channel):
+    """Return the two channels of another satellite that know best how far the bands are apart, or -1, -1."""
+    P = covariance_of(state, channels)
+    at = HEAD + channel * CHANNEL_WIDTH
+    name = state[at + C_KEY] - 1.0
+    best, best_first, least = -1, -1, math.inf
+    for i in range(channels):
+        other = HEAD + i * CHANNEL_WIDTH
+        theirs = state[other + C_KEY] - 1.0
+        if i == channel or theirs < 0.0 or theirs % 10.0 != name % 10.0:
+            continue
+        if theirs // 1_000.0 != name // 1_000.0 or state[other + C_BARRED] > 0.0:
+            continue
+        if state[other + C_CORRECTED] != state[at + C_CORRECTED]:
+            continue
+        first = _first_band_of(state, channels, i)
+        if first < 0:
+            continue
+        a, b = CHANNEL + PER_CHANNEL * i, CHANNEL + PER_CHANNEL * first
+        spread = P[a, a] + P[b, b] - 2.0 * P[a, b]
+        if spread < least:
+            best, best_first, least = i, first, spread
+    return best, best_first
+
+
+@njit(cache=True, nogil=True)
+def _lean_on(state, channels, index, source, sign):
+    """Add `sign` times error `source` to error `index`; what it depends on comes with it."""
+    P, F = covariance_of(state, channels), signatures_of(state, channels)
+    n = P.shape[0]
+    P[index, index] += P[source, source] + 2.0 * sign * P[index, source]
+    for k in range(n):
+        if k != index:
+            P[index, k] += sign * P[source, k]
+            P[k, index] = P[index, k]
+    F[:, index] += sign * F[:, source]
+
+
+@njit(cache=True, nogil=True)
 def _renew_slow(state, channels, config, channel, corrected):
-    """Start the slow error of a code anew: with a DGPS correction it is another than without."""
+    """Start the slow error of a code anew: with a DGPS correction it is another than without.
+
+    Orbit, satellite clock and troposphere are the same for all signals of a satellite, and the receiver's
+    delay of a band for all satellites: a code of another band starts from what is known of these, so that
+    its errors do not count as independent.
+    """
     at = HEAD + channel * CHANNEL_WIDTH
     state[at + C_CORRECTED] = 1.0 if corrected else 0.0
     state[at + C_SLOW] = state[at + C_BARRED] = state[at + C_AGREED] = 0.0
     close_hypothesis(state, channels, channel)
     slow = config[CODE_SLOW] if corrected else config[CODE_SLOW_ALONE]
-    clear_error(state, channels, CHANNEL + PER_CHANNEL * channel, config[CLONES] * slow * slow)
+    index, on = CHANNEL + PER_CHANNEL * channel, config[CLONES]
+    if (state[at + C_KEY] - 1.0) % 10.0 == FIRST_BAND or on == 0.0:
+        clear_error(state, channels, index, on * slow * slow)
+        return
+    own = config[CODE_BAND] ** 2
+    twin = _first_band_of(state, channels, channel)
+    clear_error(state, channels, index, own if twin >= 0 else own + slow * slow)
+    if twin >= 0:
+        state[at + C_SLOW] = state[HEAD + twin * CHANNEL_WIDTH + C_SLOW]
+        _lean_on(state, channels, index, CHANNEL + PER_CHANNEL * twin, 1.0)
+    other, first = _pair_of_band(state, channels, channel)
+    P = covariance_of(state, channels)
+    if other < 0:
+        P[index, index] += config[CODE_BAND_COMMON] ** 2
+        return
+    # The other satellite's pair differs by the receiver's delay and by a part of its own.
+    P[index, index] += own
+    state[at + C_SLOW] += state[HEAD + other * CHANNEL_WIDTH + C_SLOW]
+    state[at + C_SLOW] -= state[HEAD + first * CHANNEL_WIDTH + C_SLOW]
+    _lean_on(state, channels, index, CHANNEL + PER_CHANNEL * other, 1.0)
+    _lean_on(state, channels, index, CHANNEL + PER_CHANNEL * first, -1.0)
 
 
 @njit(cache=True, nogil=True)
@@ -241,10 +327,15 @@ def store_corrections(state, channels, rows, sec, nsec):
 
 @njit(cache=True, nogil=True)
 def corrected_range(state, channels, config, row):
-    """Return (pseudorange free of satellite clock and modelled delays (m), rate correction, corrected)."""
+    """Return (pseudorange free of satellite clock and modelled delays (m), rate correction, corrected).
+
+    A correction holds the ionosphere of the first band, of which another band has more.
+    """
     value = row[3] + SPEED_OF_LIGHT * row[15]
     correction, rate, valid = correction_of(state, channels, config, row)
     if valid:
+        if row[2] != FIRST_BAND and math.isfinite(row[17]):
+            value -= row[17] * (1.0 - (WAVELENGTH_L1 / wavelength(row[2])) ** 2)
         return value + correction, rate, True
     if math.isfinite(row[17]):
         value -= row[17]
@@ -273,28 +364,32 @@ def assign(state, channels, config, rows, site, mat_en, use, report):
     count = 0
     for i in range(len(rows)):
         use[i] = -1
-        row = rows[i]
         report[i, :] = 0.0
-        report[i, REPORT_CODE] = ROW_UNUSED
-        if not (math.isfinite(row[9] + row[10] + row[11] + row[15]) and row[9] * row[9] > 0.0):
-            report[i, REPORT_CODE] = ROW_NO_ORBIT
-            continue
-        if not math.isfinite(row[3]) and not math.isfinite(row[4]):
-            continue
-        range_and_rate(row[9:15], site, zero, los)
-        up = -(mat_en[0, 2] * los[0] + mat_en[1, 2] * los[1] + mat_en[2, 2] * los[2])
-        elevation = math.asin(min(1.0, max(-1.0, up)))
-        if elevation < config[MASK]:
-            report[i, REPORT_CODE] = ROW_LOW
-            continue
-        key = signal_key(row)
-        corrected = correction_of(state, channels, config, row)[2]
-        use[i] = channel_of(state, channels, config, key, corrected)
-        if use[i] < 0:
-            continue
-        # Seen now: cannot lose its channel to a later row of this epoch.
-        at = HEAD + use[i] * CHANNEL_WIDTH
-        state[at + C_SEC], state[at + C_NSEC] = state[SEC], state[NSEC]
-        report[i, REPORT_ELEVATION] = weight_of(config, elevation, row[6])
-        count += 1
+    # The first band comes first: the others lean on it, and it keeps its channels where these are few.
+    for other_bands in (False, True):
+        for i in range(len(rows)):
+            row = rows[i]
+            if (row[2] != FIRST_BAND) != other_bands:
+                continue
+            if not (math.isfinite(row[9] + row[10] + row[11] + row[15]) and row[9] * row[9] > 0.0):
+                report[i, REPORT_CODE] = ROW_NO_ORBIT
+                continue
+            if not math.isfinite(row[3]) and not math.isfinite(row[4]):
+                continue
+            range_and_rate(row[9:15], site, zero, los)
+            up = -(mat_en[0, 2] * los[0] + mat_en[1, 2] * los[1] + mat_en[2, 2] * los[2])
+            elevation = math.asin(min(1.0, max(-1.0, up)))
+            if elevation < config[MASK]:
+                report[i, REPORT_CODE] = ROW_LOW
+                continue
+            key = signal_key(row)
+            corrected = correction_of(state, channels, config, row)[2]
+            use[i] = channel_of(state, channels, config, key, corrected)
+            if use[i] < 0:
+                continue
+            # Seen now: cannot lose its channel to a later row of this epoch.
+            at = HEAD + use[i] * CHANNEL_WIDTH
+            state[at + C_SEC], state[at + C_NSEC] = state[SEC], state[NSEC]
+            report[i, REPORT_ELEVATION] = weight_of(config, elevation, row[6])
+            count += 1
     return count

@@ -58,6 +58,8 @@ def config_array(params: FilterParams) -> np.ndarray:
         params.published_rate_noise,
         params.carrier_interval,
         chi2_gate(1, params.drift_probability),
+        params.code_band,
+        params.code_band_common,
     ]
     assert len(values) == ch.CONFIG_SIZE
     assert values[CONFIG_PREDICTION] == params.code_noise

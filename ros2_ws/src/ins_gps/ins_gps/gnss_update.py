@@ -13,12 +13,15 @@ from ins_gps.carrier import carrier_update, line_of_sight_row, reclone
 from ins_gps.channels import (
     CARRIER_INTERVAL,
     CLONES,
+    CODE_BAND,
+    CODE_BAND_COMMON,
     CODE_MULTIPATH,
     CODE_NOISE,
     CODE_SLOW,
     CODE_SLOW_ALONE,
     DOPPLER_NOISE,
     FAULT_GATE,
+    FIRST_BAND,
     GATE,
     LOST_TIME,
     PUBLISHED_RATE_NOISE,
@@ -133,6 +136,8 @@ def _code_innovations(state, channels, config, rows, use, site, mat_en, lever_n,
         if biases == 0.0:
             slow = config[CODE_SLOW] if corrected else config[CODE_SLOW_ALONE]
             R[i] += slow**2 + config[CODE_MULTIPATH] ** 2
+            if row[2] != FIRST_BAND:
+                R[i] += config[CODE_BAND] ** 2 + config[CODE_BAND_COMMON] ** 2
 
 
 @njit(cache=True, nogil=True)

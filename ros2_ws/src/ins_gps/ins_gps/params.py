@@ -50,6 +50,15 @@ class FilterParams:
     code_slow_alone: float = parameter(
         2.5, 'the same without correction (orbit, clock, atmosphere)', unit='m', minimum=0.0
     )
+    code_band: float = parameter(
+        3.0,
+        "constant error of another band's code against its satellite's L1 or E1 (bias, ionosphere), one σ",
+        unit='m',
+        minimum=0.0,
+    )
+    code_band_common: float = parameter(
+        10.0, "the receiver's delay of a band against L1 or E1, one σ", unit='m', minimum=0.0
+    )
     code_multipath: float = parameter(2.0, 'first-order multipath of the code, one σ', unit='m', minimum=0.0)
     multipath_time: float = parameter(60.0, 'its correlation time', unit='s', minimum=0.1)
     carrier_noise: float = parameter(0.01, 'white noise of the carrier', unit='m', minimum=1e-6)

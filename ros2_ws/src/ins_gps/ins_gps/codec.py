@@ -220,10 +220,13 @@ def encode_receiver_fix(sample: ReceiverFix, message: Any, frame: str = 'gnss') 
     message.position_covariance_type = sample.covariance_type if sample.status >= 0 else _COVARIANCE_UNKNOWN
 
 
-def encode_velocity(sample: VelocitySample, message: Any, frame: str = 'gnss') -> None:
-    """Fill a TwistWithCovarianceStamped whose linear part is velocity in ENU; there is no angular part."""
+def encode_velocity(sample: VelocitySample, message: Any) -> None:
+    """Fill a TwistWithCovarianceStamped whose linear part is velocity in ENU; there is no angular part.
+
+    Its frame is `map`, whose axes are east, north, up (REP-103); the antenna's turn with the craft.
+    """
     set_stamp(message.header, sample.stamp)
-    message.header.frame_id = frame
+    message.header.frame_id = 'map'
     set3(message.twist.twist.linear, _MAT_ENU_NED @ sample.velocity)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = _MAT_ENU_NED @ sample.covariance @ _MAT_ENU_NED.T

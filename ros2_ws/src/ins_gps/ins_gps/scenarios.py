@@ -51,6 +51,13 @@ def scenario_of(params: SimulatorParams, start: int) -> Scenario:
     return replace(base, start=start)
 
 
+def restamped(run: Run, start: int) -> Run:
+    """Return the run with all stamps moved so that it begins at `start` (ns)."""
+    shift = start - int(run.stamps[0])
+    epochs = [epoch._replace(stamp=epoch.stamp + shift) for epoch in run.epochs]
+    return replace(run, stamps=run.stamps + shift, epochs=epochs)
+
+
 def truth_estimate(run: Run, index: int) -> NavigationEstimate:
     """Return the truth at IMU stamp `index` as an estimate without error, origin at the start."""
     nav, origin = run.truth[index], run.truth[0, :3]

@@ -316,3 +316,15 @@ def test_vtg_counts_only_where_it_is_measured(mode, moves):
     _, _, velocities = decode(rmc()[:0], gga(), line(f'GPVTG,60.0,T,,M,10.0,N,18.52,K,{mode}'),
                               reference=lambda: utc(2024, 1, 1, 12, 0, 0))  # fmt: skip
     assert bool(velocities) == moves
+
+
+def test_a_velocity_is_in_a_frame_that_is_east_north_up():
+    from bag_tools.bag import zeroed
+    from ins_gps.codec import TWIST, decode_velocity, encode_velocity
+
+    _, _, (velocity,) = decode(gga(), rmc(knots='20.0', course='90.0'))
+    message = zeroed(TWIST)
+    encode_velocity(velocity, message)
+    assert message.header.frame_id == 'map'
+    assert message.twist.twist.linear.x == pytest.approx(20.0 * KNOT)
+    np.testing.assert_allclose(decode_velocity(message).velocity, velocity.velocity, atol=1e-12)

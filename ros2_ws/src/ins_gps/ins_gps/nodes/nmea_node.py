@@ -63,7 +63,7 @@ class NmeaDriverNode(ByteNode):
             self._publish_fix(self._fix)
             return True
         if self._publish_velocity is not None:
-            codec.encode_velocity(sample, self._velocity, self.params.frame)
+            codec.encode_velocity(sample, self._velocity)
             self._publish_velocity(self._velocity)
         return False
 

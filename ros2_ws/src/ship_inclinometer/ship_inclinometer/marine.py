@@ -129,7 +129,8 @@ class Picture:
     def shown_validity(self, now: int) -> tuple[int, str]:
         """Return validity and reason at `now`: silence is invalid."""
         if not self.age(now) <= STALE:
-            return INVALID, 'attitude is stale'
+            ahead = self.stamp > now
+            return INVALID, 'attitude is stamped in the future' if ahead else 'attitude is stale'
         return self.validity, self.reason
 
 

@@ -109,6 +109,8 @@ def test_an_attitude_out_of_the_future_is_as_stale_as_an_old_one():
     p = picture()
     for step, shown in ((0.5, VALID), (-0.5, VALID), (1.5, INVALID), (-1.5, INVALID), (-3600.0, INVALID)):
         assert p.shown_validity(NOW + round(step * 1e9))[0] == shown
+    assert 'in the future' in p.shown_validity(NOW - 3600 * 10**9)[1]
+    assert 'stale' in p.shown_validity(NOW + 3600 * 10**9)[1]
     assert p.number('roll_period', NOW - 3600 * 10**9) != p.number('roll_period', NOW)
 
 

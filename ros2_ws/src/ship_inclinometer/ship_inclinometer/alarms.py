@@ -163,8 +163,8 @@ class AlarmMonitor:
 def quantities(picture: Picture, now: int, started: bool) -> dict[str, float]:
     """Return what RULES judge, from the picture at `now` (ns); NaN where unknown.
 
-    No attitude is a fault once `started` (the start takes its time) or once there was one; a roll analysis
-    that has never spoken is taken for one that is not installed.
+    No attitude is a fault once `started`: aligning takes its time. A roll analysis that has never spoken is
+    taken for one that is not installed.
     """
     known = picture.shown_validity(now)[0] != INVALID
     names = ('amplitude_port', 'amplitude_starboard')

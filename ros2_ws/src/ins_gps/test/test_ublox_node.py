@@ -75,7 +75,7 @@ def test_a_recording_is_published_and_the_node_ends(graph, recordings):
     clouds = graph.collect(CLOUD, 'gnss/observations')
     replay = {'replay_rate': 200.0, 'wait_for_subscribers': LONG, 'queue_depth': 2000}
     with start(source=path, bands='all', **replay) as process:
-        graph.until(lambda: not process.running, 'the end of the recording')
+        graph.until_over(process)
         assert process.wait() == 0, process.output
     epochs = [decode_observations(message) for message in clouds]
     assert len(epochs) == 1600

@@ -23,7 +23,7 @@ from node_core.node import WorkspaceNode
 
 _STALE = 2.5  # s without a sample, at the slowest usual rate of 1 Hz
 _END_CHECK = 0.1  # s
-_LAST_WORDS = 5.0  # s, for subscribers to take the last samples of a recording
+LAST_WORDS = Duration(seconds=5.0)  # for subscribers to take the last samples of a recording
 _JOIN = 5.0  # s
 
 
@@ -151,7 +151,7 @@ class SourceNode(WorkspaceNode, ABC):
     def _finish(self) -> None:
         # What a reliable writer still holds dies with it.
         for publisher in self._publishers:
-            publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
+            publisher.wait_for_all_acked(LAST_WORDS)
         self.get_logger().info(f'{self.source_name}: over, {self._published} x {self.what}')
         self._over = True
 

@@ -29,6 +29,7 @@ from node_core.node import reliable
 
 # Generous: the machine may be loaded and kernels may have to be compiled first.
 TIMEOUT = 180.0  # s
+_QUIET = 0.3  # s without a message, after the sender's last was acknowledged
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
@@ -155,6 +156,7 @@ class Probe:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = Node(name, context=self.context, start_parameter_services=False, enable_rosout=False)
+        self._collected: list[list[Any]] = []
         self._executor = DirectExecutor(context=self.context)
         self._executor.add_node(self.node)
 
@@ -193,7 +195,17 @@ class Probe:
         received: list[Any] = []
         cls = message_class(type_name)
         self.node.create_subscription(cls, topic, received.append, qos or reliable(10_000))
+        self._collected.append(received)
         return received
+
+    def until_over(self, process: Process) -> None:
+        """Spin until `process` has ended and nothing that it had sent is left to be taken."""
+        self.until(lambda: not process.running, 'the end of the process')
+        taken, quiet_at = -1, 0.0
+        while taken != sum(map(len, self._collected)) or time.monotonic() < quiet_at:
+            if taken != sum(map(len, self._collected)):
+                taken, quiet_at = sum(map(len, self._collected)), time.monotonic() + _QUIET
+            self.spin(0.02)
 
     def publisher(
         self, type_name: str, topic: str, *, match: int = 1, qos: QoSProfile | None = None, process=None

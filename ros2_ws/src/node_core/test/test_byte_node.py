@@ -37,7 +37,7 @@ def test_a_recording_starts_with_its_audience_and_loses_nothing(graph, tmp_path)
         # The node is there before anybody listens.
         graph.wait_for_publisher('lines', process)
         lines = graph.collect(STRING, 'lines')
-        graph.until(lambda: not process.running, 'the end of the recording')
+        graph.until_over(process)
         assert process.wait() == 0, process.output
         assert process.output.count('wait_for_subscribers') == 1
         assert "'/lines'" in process.output

@@ -20,7 +20,7 @@ from ins_gps.scenarios import restamped, scenario_of, truth_estimate
 from ins_gps.simulation_gnss import simulate
 from kalman_core.earth import geodetic_from_ecef
 from kalman_core.parameters import ParameterError
-from node_core.byte_node import SourceNode
+from node_core.byte_node import LAST_WORDS, SourceNode
 from node_core.diagnostics import OK, WARN, status
 from node_core.node import WorkspaceNode
 
@@ -45,6 +45,7 @@ class UavSimulatorNode(WorkspaceNode):
         gnss, self._gnss = self.publish_to(codec.CLOUD, 'gnss/observations')
         truth, self._truth = self.publish_to(codec.ODOMETRY, 'truth/odometry')
         self._publish_imu, self._publish_gnss, self._publish_truth = imu.publish, gnss.publish, truth.publish
+        self._sent_by = (imu, gnss, truth)
         series: list[tuple[int, Any]] = []
         for index, sample in enumerate(run.imu_samples()):
             series.append((sample.stamp, self._send_imu(sample)))
@@ -81,6 +82,8 @@ class UavSimulatorNode(WorkspaceNode):
 
     def _publish_due(self) -> None:
         if self._next >= len(self._series):
+            for publisher in self._sent_by:
+                publisher.wait_for_all_acked(LAST_WORDS)
             raise SystemExit(0)
         due = self._series[0][0] + (time.monotonic_ns() - self._started) * self._speed
         while self._next < len(self._series) and self._series[self._next][0] <= due:

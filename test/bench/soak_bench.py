@@ -64,7 +64,7 @@ def _rows(course: Course, run: Soak, hours: float) -> Iterable[Row]:
         PACKAGE,
         f'{name}: time per message over that of a fresh one, last third over first',
         run.slowdown,
-        '1',
+        '',
         bar=_SLOWDOWN,
         reference={'first hour [µs]': first, 'messages': float(run.samples)},
     )

@@ -79,7 +79,7 @@ def measure(options: Options) -> Iterable[Row]:
         PACKAGE,
         f'sweep of {len(tasks)} runs: speed-up on {_WORKERS} workers',
         alone / together,
-        '1',
+        '',
         bar=1.8,
         better='higher',
         reference={'of this machine': ceiling, 'serial [s]': alone},

@@ -48,7 +48,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure. `bar` is None for a figure that is reported without a bar."""
+    """One figure. `bar` is None for one reported without a bar, `unit` empty for a ratio or a count."""
 
     package: str
     name: str

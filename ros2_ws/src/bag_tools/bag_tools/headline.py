@@ -40,8 +40,7 @@ class Headline:
 def _amount(value: float | None, unit: str) -> str:
     if value is None:
         return 'no result'
-    # A bare 1 is a ratio, which needs no unit.
-    return f'{value:.4g}' + (f' {unit}' if unit and unit != '1' else '')
+    return f'{value:.4g}' + (f' {unit}' if unit else '')
 
 
 def _paper(wish: Mapping[str, Any], row: Mapping[str, Any], stored: Mapping[tuple, Mapping]) -> str:

@@ -48,7 +48,7 @@ def rows(options: Options) -> Iterable[Row]:
             lambda node=node: Process.node(PACKAGE, node), feeds, (TWIST, output), RATE, count
         )
         name = f'{node} at 500 Hz'
-        yield Row(PACKAGE, f'{name}: CPU ratio to a bare relay', ours.cpu / bare.cpu, '1', 1.3)
+        yield Row(PACKAGE, f'{name}: CPU ratio to a bare relay', ours.cpu / bare.cpu, '', 1.3)
         lost = {'bare relay': bare.lost}
         yield Row(PACKAGE, f'{name}: lost messages', ours.lost, 'messages', 0, 'lower', lost)
         late = {'bare relay': bare.latency_p99 * 1e3}

@@ -106,7 +106,7 @@ def _accuracy(kind, found, ours, peers, rival) -> Iterable[Row]:
             'imu_kalman',
             f'recorded trials, {kind}: mean {part} error',
             float(value[i]),
-            'deg',
+            '°',
             reference[rival],
             reference=reference,
         )
@@ -134,7 +134,7 @@ def _left_out(found, vqf) -> Iterable[Row]:
             'imu_kalman',
             f'recorded trials, delays fitted on the other trials, causal: mean {part} error',
             float(value[i]),
-            'deg',
+            '°',
             float(rival[i]),
             reference={'VQF': float(rival[i])},
         )
@@ -168,7 +168,7 @@ def _variants(found, vqf) -> Iterable[Row]:
                 'imu_kalman',
                 f'recorded trials, {name}: mean {part} error',
                 float(value[i]),
-                'deg',
+                '°',
                 reference={'VQF': float(reference[i])},
             )
 
@@ -182,7 +182,7 @@ def _speed(trial: Trial) -> Iterable[Row]:
         'imu_kalman',
         'causal attitude filter over arrays: time per sample as a ratio to VQF in C++',
         ours / theirs,
-        '1',
+        '',
         1.0,
         reference={'VQF (us)': theirs, 'ours (us)': ours},
     )
@@ -192,7 +192,7 @@ def _speed(trial: Trial) -> Iterable[Row]:
         'imu_kalman',
         'smoother: time per sample as a ratio to offlineVQF in C++',
         ours / theirs,
-        '1',
+        '',
         1.3,
         reference={'offlineVQF (us)': theirs, 'ours (us)': ours},
     )

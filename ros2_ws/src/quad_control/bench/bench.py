@@ -95,7 +95,7 @@ def _documented(seeds: range) -> Iterator[Row]:
     yield _row(
         "documented plant: published gains behind the paper's filter, settled share",
         np.mean([math.isfinite(r.settling) for r in filtered['published']]),
-        '1',
+        '',
         reference={'cascade': float(np.mean([math.isfinite(r.settling) for r in cascade]))},
         better='higher',
         seeds=n,
@@ -210,7 +210,7 @@ def _autotune() -> Iterator[Row]:
     yield _row('autotune: worst error of Ku, three plants', 100.0 * worst['gain'], '%', 10.0)
     yield _row('autotune: worst error of Tu, three plants', 100.0 * worst['period'], '%', 10.0)
     found = ultimate_by_experiment(documented_plant())
-    yield _row('documented plant: Ku by the experiment', found.gain, '1', reference={'paper': 0.9})
+    yield _row('documented plant: Ku by the experiment', found.gain, '', reference={'paper': 0.9})
     yield _row('documented plant: Tu by the experiment', found.period, 's', reference={'paper': 0.08})
 
 
@@ -238,7 +238,7 @@ def _revert(seeds: range) -> Iterator[Row]:
     yield _row(
         'gains that swing are reverted, level within 3.5 s',
         back / len(few),
-        '1',
+        '',
         1.0,
         better='higher',
         seeds=len(few),
@@ -257,7 +257,7 @@ def _mixer(seeds: range) -> Iterator[Row]:
         wrong += not (pulses.min() >= 1000.0 and pulses.max() <= 2000.0)
         if 2.0 * (abs(roll) + abs(pitch)) <= 0.994:
             wrong += abs(achieved[0] - roll) + abs(achieved[1] - pitch) > 1e-9
-    yield _row('mixer: violations over random demands', wrong, '1', 0.0, seeds=n)
+    yield _row('mixer: violations over random demands', wrong, '', 0.0, seeds=n)
 
 
 def _faults(seeds: range) -> Iterator[Row]:
@@ -306,7 +306,7 @@ def _live(quick: bool) -> Iterator[Row]:
         flown = fly_live(rate, 10.0 if quick else 600.0)
         name = f'live processes at {rate:g} Hz'
         yield _row(f'{name}: in to out, p99', flown.p99, 'ms', 3.0, reference={'p50': flown.p50})
-        yield _row(f'{name}: lost samples', flown.lost, '1', 0.0)
+        yield _row(f'{name}: lost samples', flown.lost, '', 0.0)
         stable = flown.seconds if flown.tilt < CALM and not flown.crashed else 0.0
         yield _row(f'{name}: stable flight', stable, 's', 10.0 if quick else 600.0, better='higher')
     limit = 1e3 * STATED['controller killed']

@@ -2,9 +2,9 @@
 """`./ws coverage [PACKAGE …]`: statement and branch coverage of kalman_core and the algorithm modules.
 
 Compiled kernels cannot be traced. The tests are therefore run with NUMBA_DISABLE_JIT=1, where the kernels are
-plain Python and slow: a file of tests that is not done within its time is stopped, what it has covered by
-then counts, and it is run once more as it is, for all that is no kernel. Tests that start nodes run as they
-are, and their processes are measured too; the files of the nodes themselves are glue and left out.
+plain Python and slow: a test that is not done within its time is stopped, what it has covered by then counts,
+and its file is run once more as it is, for all that is no kernel. Tests that start nodes run as they are, and
+their processes are measured too; the files of the nodes themselves are glue and left out.
 Exit code 1 below the bar; the figures are kept in docs/results/bench.json.
 """
 
@@ -26,14 +26,15 @@ SOURCE = ROOT / 'ros2_ws' / 'src'
 PACKAGES = ('kalman_core', 'imu_kalman', 'ship_inclinometer', 'ev_velocity', 'ins_gps', 'quad_control')
 BAR = 95.0  # %
 _OMIT = ('*/nodes/*', '*/test/*', '*/fake_*', '*/fixtures.py', '*/replays.py', '*/importers.py')
-# Seconds that the tests of one file may take without the compiler.
-_LIMIT = 240.0
-_STOPPED = 'stopped'
+# Seconds that one test may take without the compiler, and as many its fixtures.
+_LIMIT = 15.0
+# What limit_tests.py says of one that took longer.
+_STOPPED = 'not done within'
 # Words of tests that start nodes: these keep their pace, and so the compiler.
 _LIVE = ('rclpy.init', 'node_core.testing', 'chromium')
 
 
-def _environment(package: str, folder: Path, *, jit: bool) -> dict[str, str]:
+def _environment(package: str, folder: Path) -> dict[str, str]:
     paths = [str(SOURCE / p) for p in (*PACKAGES, 'node_core', 'bag_tools')]
     settings = folder / 'coveragerc'
     settings.write_text(
@@ -41,57 +42,56 @@ def _environment(package: str, folder: Path, *, jit: bool) -> dict[str, str]:
         f'data_file = {folder / "data"}\nomit = {",".join(_OMIT)}\n'
         '[report]\nexclude_also =\n    if TYPE_CHECKING:\n    ^\\s*\\.\\.\\.$\n'
     )
-    environment = {
+    return {
         **os.environ,
         'PYTHONPATH': os.pathsep.join([*paths, os.environ.get('PYTHONPATH', '')]),
         'COVERAGE_RCFILE': str(settings),
     }
-    if not jit:
-        environment['NUMBA_DISABLE_JIT'] = '1'
-    return environment
+
+
+def _uncompiled(environment: dict[str, str], limit: float) -> dict[str, str]:
+    path = os.pathsep.join([str(ROOT / 'tools'), environment['PYTHONPATH']])
+    plugin = {'PYTEST_PLUGINS': 'limit_tests', 'TEST_LIMIT': f'{limit:g}', 'PYTHONPATH': path}
+    return {**environment, **plugin, 'NUMBA_DISABLE_JIT': '1'}
 
 
 def _starts_nodes(file: Path) -> bool:
     return any(word in file.read_text(encoding='utf-8') for word in _LIVE)
 
 
-def _pytest(package: str, file: Path, environment: dict[str, str], limit: float | None) -> str:
-    command = [sys.executable, '-m', 'coverage', 'run', '-m', 'pytest', '-q', '-p', 'no:cacheprovider']
-    process = subprocess.Popen(
+def _pytest(package: str, file: Path, environment: dict[str, str]) -> tuple[str, bool]:
+    """Return the last line of the tests of `file`, and whether each was done within its time."""
+    command = [sys.executable, '-m', 'coverage', 'run', '-m', 'pytest', '-q', '-rs', '-p', 'no:cacheprovider']
+    done = subprocess.run(
         [*command, str(file)],
         cwd=SOURCE / package,
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        check=False,
     )
-    try:
-        said = process.communicate(timeout=limit)[0]
-        return next((line for line in reversed(said.splitlines()) if ' in ' in line), said[-200:])
-    except subprocess.TimeoutExpired:
-        process.terminate()
-        process.communicate()
-        return f'{_STOPPED} after {limit:g} s'
+    last = next((line for line in reversed(done.stdout.splitlines()) if ' in ' in line), done.stdout[-200:])
+    return last, _STOPPED not in done.stdout
 
 
 def measure(package: str, limit: float) -> dict:
     """Run the tests of `package`; return coverage's JSON report."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        plain = _environment(package, folder, jit=False)
-        compiled = _environment(package, folder, jit=True)
+        compiled = _environment(package, folder)
         for file in sorted((SOURCE / package / 'test').glob('test_*.py')):
-            said = _STOPPED
+            whole = False
             if not _starts_nodes(file):
-                said = _pytest(package, file, plain, limit)
+                said, whole = _pytest(package, file, _uncompiled(compiled, limit))
                 print(f'{package}: {file.name}: {said}', flush=True)
-            if said.startswith(_STOPPED):
-                said = _pytest(package, file, compiled, None)
+            if not whole:
+                said, _ = _pytest(package, file, compiled)
                 print(f'{package}: {file.name}, compiled: {said}', flush=True)
         report = folder / 'report.json'
         for words in (['combine', '-q'], ['json', '-q', '-o', str(report)]):
             subprocess.run(
-                [sys.executable, '-m', 'coverage', *words], env=plain, cwd=SOURCE / package, check=True
+                [sys.executable, '-m', 'coverage', *words], env=compiled, cwd=SOURCE / package, check=True
             )
         return json.loads(report.read_text())
 
@@ -124,7 +124,7 @@ def main() -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(prog='./ws coverage', description='Measure the coverage of algorithms.')
     parser.add_argument('packages', nargs='*', help=f'default: {" ".join(PACKAGES)}')
-    parser.add_argument('--limit', type=float, default=_LIMIT, help='s per test file without the compiler')
+    parser.add_argument('--limit', type=float, default=_LIMIT, help='s per test without the compiler')
     asked = parser.parse_args()
     if unknown := set(asked.packages) - set(PACKAGES):
         parser.error(f"no package '{min(unknown)}'; known: {', '.join(PACKAGES)}")

@@ -95,7 +95,8 @@ _INAV = {
     'af0': _Cell(4, 68, 31, True, 2.0**-34),
     'af1': _Cell(4, 99, 21, True, 2.0**-46),
     'af2': _Cell(4, 120, 6, True, 2.0**-59),
-    'group_delay': _Cell(5, 57, 10, True, 2.0**-32),  # E1-E5b, what the I/NAV clock goes with
+    'delay_5': _Cell(5, 47, 10, True, 2.0**-32),
+    'delay_7': _Cell(5, 57, 10, True, 2.0**-32),
 }
 _INAV_ISSUES = tuple((word, 6, 10) for word in (1, 2, 3, 4))
 _IONOSPHERE = tuple(
@@ -229,6 +230,7 @@ def _assemble(key: tuple[int, int], parts: dict[int, int], time: float) -> np.nd
     values['accuracy'] = (gps_accuracy if gps else galileo_accuracy)(values['accuracy'])
     if not gps:
         values['health'] = _galileo_health(parts[5])
+        values['group_delay'] = values['delay_7']  # the clock of I/NAV is that of E1 and E5b
     values['toc'] = near(values['toc'], time)
     values['toe'] = near(values['week_second'], time)
     row = ephemeris_row(system=system, satellite=satellite, **values)

@@ -13,7 +13,13 @@ from ins_gps.atmosphere import klobuchar, saastamoinen
 from ins_gps.channels import wavelength
 from ins_gps.constants import GPS_EPOCH_UNIX, SPEED_OF_LIGHT, WAVELENGTH_L1
 from ins_gps.fix import OK, solve_position
-from ins_gps.orbit import azimuth_elevation, range_and_rate, satellite_at_reception, select_ephemeris
+from ins_gps.orbit import (
+    azimuth_elevation,
+    other_band_clock,
+    range_and_rate,
+    satellite_at_reception,
+    select_ephemeris,
+)
 from ins_gps.rinex import RawEpoch
 from ins_gps.samples import OBS, OBSERVATION_COLUMNS, GnssEpoch
 from kalman_core.earth import geodetic_from_ecef
@@ -94,9 +100,7 @@ class EpochBuilder:
             return
         eph = self.ephemerides[index]
         satellite_at_reception(eph, time, row[3], row[9:17])
-        # The broadcast group delay is that of the first signal; it grows with the square of the wavelength.
-        ratio = (wavelength(row[2]) / WAVELENGTH_L1) ** 2
-        row[15] -= eph[7] * (ratio - 1.0)
+        row[15] += other_band_clock(eph, row[2], (wavelength(row[2]) / WAVELENGTH_L1) ** 2)
 
     def _delays(self, rows: np.ndarray, time: float) -> None:
         usable = (rows[:, 2] == 1.0) & np.isfinite(rows[:, [3, 9]]).all(axis=1)

@@ -3,7 +3,8 @@
 
 Frames: ``e`` is Earth-fixed at the instant of transmission; `range_and_rate` turns it by the signal's
 travel time (Sagnac). Times are continuous GPS seconds since 1980-01-06.
-Sources: IS-GPS-200N tables 20-III and 20-IV and section 20.3.3.3.3; Galileo OS SIS ICD 2.1 section 5.1.
+Sources: IS-GPS-200N tables 20-III and 20-IV and section 20.3.3.3.3; IS-GPS-705 section 20.3.3.3.1;
+Galileo OS SIS ICD 2.1 section 5.1.
 """
 
 import math
@@ -13,7 +14,9 @@ from numba import njit
 
 from ins_gps.constants import EARTH_RATE, GALILEO, GALILEO_MU, GPS_MU, SPEED_OF_LIGHT
 
-# Columns of an ephemeris row; times in s, angles in rad, rates in rad/s, lengths in m.
+# Columns of an ephemeris row; times in s, angles in rad, rates in rad/s, lengths in m. `group_delay` is that
+# of the pair the clock belongs to: TGD, BGD(E1,E5a) for F/NAV, BGD(E1,E5b) for I/NAV. `delay_5` and `delay_7`
+# are those of the first signal with L5 or E5a, and with E5b.
 EPHEMERIS_FIELDS = (
     'system',
     'satellite',
@@ -42,6 +45,8 @@ EPHEMERIS_FIELDS = (
     'health',
     'accuracy',
     'issue',
+    'delay_5',
+    'delay_7',
 )
 COLUMN = {name: index for index, name in enumerate(EPHEMERIS_FIELDS)}
 COLUMNS = len(EPHEMERIS_FIELDS)
@@ -112,6 +117,20 @@ def satellite_at_reception(eph, time, pseudorange, out):
 
 
 @njit(cache=True, nogil=True)
+def other_band_clock(eph, signal, ratio):
+    """Return what to add to the clock (s) of the first signal for the signal of RINEX band `signal`.
+
+    ratio: (f_1/f_signal)². With B the group delay of the two signals the later one lags by (ratio − 1) B,
+    whichever pair the broadcast clock belongs to. No ISC of L5 is read: it counts as 0.
+    """
+    if signal == 5.0:
+        return (1.0 - ratio) * eph[27]
+    if signal == 7.0:
+        return (1.0 - ratio) * eph[28]
+    return (1.0 - ratio) * eph[7]
+
+
+@njit(cache=True, nogil=True)
 def satellites_at_reception(ephemerides, times, pseudoranges, out):
     """`satellite_at_reception` for m satellites: (m, COLUMNS), (m,), (m,), out (m, 8)."""
     for i in range(len(times)):
@@ -161,8 +180,13 @@ def azimuth_elevation(line_of_sight, latitude, longitude):
 
 
 def ephemeris_row(**values: float) -> np.ndarray:
-    """Return one ephemeris row (COLUMNS,) from named fields; those not named are 0."""
+    """Return one ephemeris row (COLUMNS,) from named fields; those not named are 0.
+
+    Galileo's delays of E5a and E5b differ by a nanosecond or so: one that is not named is `group_delay`.
+    """
     row = np.zeros(COLUMNS)
+    if values.get('system') == GALILEO:
+        row[[COLUMN['delay_5'], COLUMN['delay_7']]] = values.get('group_delay', 0.0)
     for name, value in values.items():
         row[COLUMN[name]] = value
     return row

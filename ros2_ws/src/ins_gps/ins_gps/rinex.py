@@ -320,9 +320,15 @@ def _one_ephemeris(letter: str, satellite: int, toc: float, cell: dict[str, floa
     toe = toc + (cell['Toe'] - toc % WEEK + WEEK / 2) % WEEK - WEEK / 2
     values = {name: cell[source] for name, source in _GEORINEX_NAMES.items()}
     if letter == 'E':
+        e5a, e5b = cell.get('BGDe5a', np.nan), cell.get('BGDe5b', np.nan)
         # Bit 8 of the data source: clock for E5a/E1 (F/NAV); else E5b/E1 (I/NAV).
         fnav = int(cell.get('DataSrc', 0) or 0) & 256
-        delay = cell.get('BGDe5a' if fnav else 'BGDe5b', 0.0)
+        delay = e5a if fnav else e5b
+        if np.isfinite(e5a):
+            values['delay_5'] = e5a
+        # F/NAV does not broadcast the delay of E5b: converters write 0 for it.
+        if np.isfinite(e5b) and not (fnav and e5b == 0.0):
+            values['delay_7'] = e5b
         values['accuracy'], values['issue'] = cell.get('SISA', np.nan), cell.get('IODnav', 0.0)
     else:
         delay = cell.get('TGD', 0.0)

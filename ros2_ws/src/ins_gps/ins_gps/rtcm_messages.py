@@ -174,7 +174,8 @@ def read_ephemeris(message: Any) -> BroadcastEphemeris:
     # Health in RINEX's bits: data validity and status of E1-B, E5a, E5b from the lowest on.
     if message.identity == '1046':
         values['accuracy'] = galileo_accuracy(message.DF286)
-        values['group_delay'] = message.DF313
+        values['group_delay'] = values['delay_7'] = message.DF313
+        values['delay_5'] = message.DF312
         values['health'] = message.DF316 << 7 | message.DF317 << 6 | message.DF287 << 1 | message.DF288
         clock = 'inav'
     else:

@@ -150,7 +150,9 @@ def ephemeris_galileo(row, week, number):
     delay, health = row['group_delay'] * 2.0**32, int(row['health'])
     if number == 1045:
         return bits.add(delay, 10).add(health >> 4 & 3, 2).add(health >> 3 & 1, 1).add(0, 7).frame()
-    bits.add(0, 10).add(delay, 10).add(health >> 7 & 3, 2).add(health >> 6 & 1, 1)
+    bits.add(row.get('delay_5', 0.0) * 2.0**32, 10).add(delay, 10).add(health >> 7 & 3, 2).add(
+        health >> 6 & 1, 1
+    )
     return bits.add(health >> 1 & 3, 2).add(health & 1, 1).add(0, 2).frame()
 
 

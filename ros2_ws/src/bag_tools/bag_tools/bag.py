@@ -32,6 +32,7 @@ from bag_tools.cdr import decoder, encoder
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
+ROS1_SUFFIX = '.bag'
 COMPRESSIONS = ('none', 'zstd')
 EXPECTED = 'expected a rosbag2 folder, .mcap or .db3 file'
 # rosbag2 writes these for publishers that set no deadline, lifespan or lease.
@@ -159,6 +160,9 @@ def _locate(path: Path) -> Path:
         if len(files) != 1:
             raise BagError(f'{path}: no metadata.yaml in this folder; {EXPECTED}')
         return files[0]
+    if path.is_file() and path.suffix == ROS1_SUFFIX:
+        command = f'rosbags-convert --src {path} --dst {path.stem} --dst-typestore ros2_jazzy'
+        raise BagError(f'{path}: is a bag of ROS 1; convert it: {command}')
     if path.is_file() and path.suffix not in SUFFIXES:
         raise BagError(f'{path}: not a bag; {EXPECTED}')
     return path

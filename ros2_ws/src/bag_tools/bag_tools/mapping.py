@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mapping files: which columns of a table become which fields of which messages.
+"""Mapping files: which columns of a table, or fields of a bag, become which fields of which messages.
 
 ::
 
@@ -23,6 +23,22 @@
 A field takes one `column`, or as many `columns` as it has components (x, y, z of a vector; w, x, y, z of a
 quaternion; the elements of an array), or `euler` angles (roll, pitch, yaw). `columns` may name one
 two-dimensional array. Each number becomes (number · scale + add) · unit in SI.
+
+Out of a bag the columns are field paths of the topic that `from` names::
+
+    copy: [truth/orientation]        # topics to take along as they are ('*': all that is not written)
+    topics:
+      - topic: imu/data_raw
+        from: /sensor/imu
+        type: sensor_msgs/msg/Imu
+        stamp: {column: bag_time}    # when the bag says it came; or header.stamp, or any other field
+        fields:
+          angular_velocity: {columns: angular_velocity, scale: [1, -1, -1]}
+          linear_acceleration: {columns: linear_acceleration, unit: g, scale: [1, -1, -1]}
+
+A vector, a quaternion (w, x, y, z) or a list is as many columns as it has numbers. A time or duration
+counts in nanoseconds, also without a unit, and is exact as a stamp. The messages keep their order and
+their bag times.
 """
 
 from __future__ import annotations
@@ -41,6 +57,7 @@ from bag_tools.errors import quaternions
 from bag_tools.rosargs import load_yaml
 from bag_tools.series import NANOSECONDS, Array, walk
 from bag_tools.tables import CsvFormat, Table, csv_format
+from bag_tools.topic_tables import BAG_TIME, COMPONENTS
 
 _DEGREE = math.pi / 180.0
 STANDARD_GRAVITY = 9.80665  # m/s², by definition
@@ -54,8 +71,8 @@ UNITS: dict[str, float] = {
     's': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9,
     'Pa': 1.0, 'hPa': 100.0, 'degC': 1.0, 'percent': 0.01,
 }  # fmt: skip
-_COMPONENTS = {'Vector3': 'xyz', 'Point': 'xyz', 'Quaternion': 'wxyz'}
 NAN_RULES = ('skip', 'error', 'keep')
+_LAST = 9.2e9  # s: all that nanoseconds in 64 bits hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +90,15 @@ class FieldRule:
 
 @dataclass(frozen=True, slots=True)
 class TopicRule:
-    """One topic: its stamps come from a column, or from a rate (Hz, or the name of a constant)."""
+    """One topic: its stamps come from a column, or from a rate (Hz, or the name of a constant).
+
+    Its numbers come from `file`, or from the topic `source` of a bag.
+    """
 
     topic: str
     type: str
     file: str | None
+    source: str | None
     stamp_column: str | None
     stamp_factor: float
     rate: float | str | None
@@ -96,13 +117,19 @@ class TopicRule:
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """A whole mapping file."""
+    """A whole mapping file; `copy` are the topics of a bag that are taken along as they are."""
 
     path: Path
     text: str
     files: dict[str, str]
     csv: CsvFormat
     topics: tuple[TopicRule, ...] = field(default=())
+    copy: tuple[str, ...] = ()
+
+    @property
+    def of_bag(self) -> bool:
+        """Whether the mapping reads a bag."""
+        return self.topics[0].source is not None
 
 
 def _only(body: Any, allowed: set[str], where: str) -> dict[str, Any]:
@@ -113,15 +140,21 @@ def _only(body: Any, allowed: set[str], where: str) -> dict[str, Any]:
     return body
 
 
+def _named(body: Any, where: str) -> dict[str, Any]:
+    if not isinstance(body, dict):
+        raise BagError(f'{where}: expected a mapping of names')
+    return {str(key): value for key, value in body.items()}
+
+
 def _factor(unit: Any, where: str) -> float:
-    if unit not in UNITS:
+    if not isinstance(unit, str) or unit not in UNITS:
         raise BagError(f"{where}: unit '{unit}' is unknown; known: {', '.join(u for u in UNITS if u)}")
     return UNITS[unit]
 
 
 def _numbers(value: Any, where: str) -> tuple[float, ...]:
     values = value if isinstance(value, list) else [value]
-    if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+    if not values or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         raise BagError(f'{where}: {value!r} is not a number or list of numbers')
     return tuple(float(v) for v in values)
 
@@ -134,10 +167,13 @@ def _field_rule(path: str, body: Any, where: str) -> FieldRule:
         raise BagError(f'{where}: expected exactly one of column, columns, euler')
     names = body[sources[0]]
     names = names if isinstance(names, list) else [names]
+    index = body.get('index')
+    if index is not None and type(index) is not int:
+        raise BagError(f'{where}: index is {index!r}, expected a whole number')
     return FieldRule(
         path,
         tuple(str(n) for n in names),
-        body.get('index'),
+        index,
         _factor(body.get('unit', ''), where),
         _numbers(body.get('scale', 1.0), where),
         _numbers(body.get('add', 0.0), where),
@@ -146,7 +182,7 @@ def _field_rule(path: str, body: Any, where: str) -> FieldRule:
 
 
 def _topic_rule(body: Any, where: str) -> TopicRule:
-    keys = {'topic', 'type', 'file', 'stamp', 'frame_id', 'nan', 'changes', 'set', 'fields'}
+    keys = {'topic', 'from', 'type', 'file', 'stamp', 'frame_id', 'nan', 'changes', 'set', 'fields'}
     body = _only(body, keys, where)
     for key in ('topic', 'type', 'stamp', 'fields'):
         if key not in body:
@@ -155,22 +191,31 @@ def _topic_rule(body: Any, where: str) -> TopicRule:
     stamp = _only(body['stamp'], {'column', 'unit', 'offset', 'rate'}, f'{where} stamp')
     if ('column' in stamp) == ('rate' in stamp):
         raise BagError(f'{where} stamp: expected either column or rate')
+    offset = _numbers(stamp.get('offset', 0.0), f'{where} stamp')[0]
+    if not abs(offset) <= _LAST:
+        raise BagError(f'{where} stamp: offset is {offset:g} s, allowed: within {_LAST:g}')
     nan = body.get('nan', 'skip')
     if nan not in NAN_RULES:
         raise BagError(f"{where}: nan is '{nan}', expected {' | '.join(NAN_RULES)}")
-    fields = _only(body['fields'], set(body['fields'] or {}), f'{where} fields')
+    rate = stamp.get('rate')
+    if not isinstance(rate, int | float | str | None):
+        raise BagError(f'{where} stamp: rate is {rate!r}, expected a number of Hz or the name of a constant')
+    fields = _named(body['fields'], f'{where} fields')
+    if not fields:
+        raise BagError(f'{where} fields: expected at least one field')
     rule = TopicRule(
         topic=str(body['topic']),
         type=str(body['type']),
         file=body.get('file'),
-        stamp_column=stamp.get('column'),
+        source=None if body.get('from') is None else str(body['from']),
+        stamp_column=None if stamp.get('column') is None else str(stamp['column']),
         stamp_factor=_factor(stamp.get('unit', 's'), f'{where} stamp'),
-        rate=stamp.get('rate'),
-        offset=_numbers(stamp.get('offset', 0.0), f'{where} stamp')[0],
+        rate=rate,
+        offset=offset,
         frame_id=str(body.get('frame_id', '')),
         nan=nan,
         changes=bool(body.get('changes', False)),
-        constants=dict(body.get('set') or {}),
+        constants=_named(body.get('set') or {}, f'{where} set'),
         fields=tuple(_field_rule(p, b, f'{where} field {p}') for p, b in fields.items()),
     )
     template = zeroed(rule.type)
@@ -192,37 +237,78 @@ def read_mapping(path: Path) -> Mapping:
         raise BagError(f'{path}: cannot be read ({error.strerror}); expected a mapping file') from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise BagError(f'{path}: is not YAML ({" ".join(str(error).split())})') from None
-    document = _only(document, {'text', 'files', 'csv', 'topics'}, str(path))
+    document = _only(document, {'text', 'files', 'csv', 'copy', 'topics'}, str(path))
     topics = document.get('topics')
     if not isinstance(topics, list) or not topics:
         raise BagError(f"{path}: 'topics' is missing; expected a list")
+    copy = document.get('copy') or []
+    copy = copy if isinstance(copy, list) else [copy]
     mapping = Mapping(
         path,
         str(document.get('text', '')),
-        {str(k): str(v) for k, v in (document.get('files') or {}).items()},
+        {k: str(v) for k, v in _named(document.get('files') or {}, f'{path}: files').items()},
         csv_format(document.get('csv') or {}, str(path)),
         tuple(_topic_rule(t, f'{path}: topic') for t in topics),
+        tuple(str(name) for name in copy),
     )
+    _check_sources(mapping)
+    return mapping
+
+
+def _check_sources(mapping: Mapping) -> None:
+    """Raise BagError unless all topics read from a bag, or all from tables that exist."""
+    path = mapping.path
+    for rule in mapping.topics:
+        if (rule.source is not None) != mapping.of_bag:
+            raise BagError(f"{path}: topic '{rule.topic}': expected 'from' in all topics (a bag) or in none")
+    if mapping.of_bag:
+        for key, used in (
+            ('files', mapping.files),
+            ('file', any(rule.file is not None for rule in mapping.topics)),
+        ):
+            if used:
+                raise BagError(f"{path}: '{key}' is for tables, 'from' is for bags; expected one of the two")
+        return
+    if mapping.copy:
+        raise BagError(f"{path}: 'copy' is for bags; expected 'from' in the topics")
     for rule in mapping.topics:
         if (rule.file is None) == bool(mapping.files) or (rule.file and rule.file not in mapping.files):
             raise BagError(
                 f"{path}: topic '{rule.topic}': file is {rule.file!r}, expected one of {list(mapping.files)}"
             )
-    return mapping
+
+
+def _clock(name: str, factor: float, table: Table) -> NDArray[np.int64]:
+    """Return the stamps (ns) that a column holds; whole numbers never pass through a double."""
+    where = f"{table.path}: the stamp '{name}'"
+    column = table.column(name)
+    if column.shape[1] != 1:
+        raise BagError(f'{where} has {column.shape[1]} numbers, expected one')
+    data = column[:, 0]
+    if name in table.times:
+        if factor not in (1.0, UNITS['ns']):
+            raise BagError(f'{where} is a time; expected no unit')
+        if not data.any():
+            raise BagError(f'{where} is zero throughout, which says that none was set; expected {BAG_TIME}')
+        factor = UNITS['ns']
+    if not np.all(np.isfinite(data)):
+        row = int(np.argmin(np.isfinite(data)))
+        raise BagError(f"{table.path}: row {row}: the stamp '{name}' is not finite")
+    seconds = data * factor
+    if np.max(np.abs(seconds)) > _LAST:
+        raise BagError(f'{where} reaches {np.max(np.abs(seconds)):.3g} s; expected another unit')
+    step = round(factor * NANOSECONDS)
+    if data.dtype.kind in 'iu' and step and math.isclose(step, factor * NANOSECONDS):
+        return data.astype(np.int64) * step
+    whole = np.floor(seconds)
+    # Whole seconds apart from the fraction: Unix times fill the mantissa of a double.
+    return whole.astype(np.int64) * NANOSECONDS + np.rint((seconds - whole) * NANOSECONDS).astype(np.int64)
 
 
 def stamps_of(rule: TopicRule, table: Table) -> NDArray[np.int64]:
     """Return the stamps (ns) of all rows of `table`."""
     if rule.stamp_column is not None:
-        seconds = table.column(rule.stamp_column)[:, 0] * rule.stamp_factor
-        if not np.all(np.isfinite(seconds)):
-            row = int(np.argmin(np.isfinite(seconds)))
-            raise BagError(f"{table.path}: row {row}: the stamp '{rule.stamp_column}' is not finite")
-        whole = np.floor(seconds)
-        # Whole seconds apart from the fraction: Unix times fill the mantissa of a double.
-        stamps = whole.astype(np.int64) * NANOSECONDS + np.rint((seconds - whole) * NANOSECONDS).astype(
-            np.int64
-        )
+        stamps = _clock(rule.stamp_column, rule.stamp_factor, table)
     else:
         rate = table.constants.get(rule.rate, 0.0) if isinstance(rule.rate, str) else float(rule.rate or 0.0)
         if not rate > 0.0:
@@ -265,8 +351,8 @@ def leaves(rule: FieldRule, template: Any, count: int) -> list[tuple[str, str | 
     """Return where `count` numbers go: (path of the parent, attribute or index)."""
     target = walk(template, rule.path)
     kind = type(target).__name__.split('__')[-1]
-    if kind in _COMPONENTS:
-        names: list[tuple[str, str | int]] = [(rule.path, c) for c in _COMPONENTS[kind]]
+    if kind in COMPONENTS:
+        names: list[tuple[str, str | int]] = [(rule.path, c) for c in COMPONENTS[kind]]
     elif isinstance(target, np.ndarray):
         names = [(rule.path, i) for i in range(len(target) or count)]
     elif rule.path.endswith(']'):

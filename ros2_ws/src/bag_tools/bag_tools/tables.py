@@ -10,9 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bag_tools.bag import BagError
-from bag_tools.series import Array
+
+# Every whole number of so many digits is a double; longer ones are stamps.
+_DIGITS = 15
+_LARGEST = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +35,18 @@ class CsvFormat:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns of one file, each (n,) or (n, k); what is not as long as the rest is in `constants`."""
+    """Columns of one file, each (n,) or (n, k); what is not as long as the rest is in `constants`.
+
+    Whole numbers stay whole, since a double holds no Unix time in nanoseconds; `times` names the columns
+    that are in nanoseconds, whatever a mapping says.
+    """
 
     path: Path
-    columns: dict[str, Array]
+    columns: dict[str, NDArray[Any]]
     constants: dict[str, float] = field(default_factory=dict)
+    times: frozenset[str] = frozenset()
 
-    def column(self, name: str) -> Array:
+    def column(self, name: str) -> NDArray[Any]:
         """Return a column as (n, k); raise BagError naming what there is."""
         if name not in self.columns:
             raise BagError(f"{self.path}: no column '{name}'; the file has: {', '.join(self.columns)}")
@@ -45,12 +54,12 @@ class Table:
         return data[:, None] if data.ndim == 1 else data
 
 
-def _number(text: str, path: Path, line: int, name: str) -> float:
+def _number(text: str, path: Path, line: int, name: str) -> float | int:
     text = text.strip()
     if not text:
         return float('nan')
     try:
-        return float(text)
+        return int(text) if len(text) > _DIGITS and text.isdecimal() else float(text)
     except ValueError:
         raise BagError(f"{path}: line {line}, column '{name}': '{text}' is not a number") from None
 
@@ -58,7 +67,7 @@ def _number(text: str, path: Path, line: int, name: str) -> float:
 def read_csv(path: Path, style: CsvFormat, wanted: Collection[str]) -> Table:
     """Read the `wanted` columns of a text table; empty cells are NaN."""
     names: list[str] | None = None if style.header is True else list(style.header or [])
-    rows: list[list[float]] = []
+    rows: list[list[float | int]] = []
     picked: list[tuple[int, str]] = []
     try:
         with path.open(newline='', encoding=style.encoding) as file:
@@ -85,8 +94,13 @@ def read_csv(path: Path, style: CsvFormat, wanted: Collection[str]) -> Table:
         raise BagError(f'{path}: cannot be read ({reason}); expected a CSV file') from error
     if not rows:
         raise BagError(f'{path}: has no rows')
-    data = np.array(rows)
-    return Table(path, {name: data[:, i] for i, (_, name) in enumerate(picked)})
+    columns = {name: _column([row[i] for row in rows]) for i, (_, name) in enumerate(picked)}
+    return Table(path, columns)
+
+
+def _column(values: list[float | int]) -> NDArray[Any]:
+    whole = all(isinstance(v, int) and v <= _LARGEST for v in values)
+    return np.array(values, dtype=np.int64 if whole else np.float64)
 
 
 def _pick(path: Path, names: list[str], wanted: Collection[str]) -> list[tuple[int, str]]:
@@ -103,7 +117,7 @@ def read_npz(path: Path) -> Table:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:  # numpy and zipfile raise a dozen kinds for broken archives
         raise BagError(f'{path}: cannot be read ({error}); expected an npz file without objects') from error
-    columns: dict[str, Array] = {}
+    columns: dict[str, NDArray[Any]] = {}
     constants: dict[str, float] = {}
     for name, array in arrays.items():
         if array.dtype.kind not in 'fiub':
@@ -111,7 +125,7 @@ def read_npz(path: Path) -> Table:
         if array.size == 1:
             constants[name] = float(array.reshape(()))
         elif array.ndim in (1, 2):
-            columns[name] = array.astype(np.float64)
+            columns[name] = array if array.dtype.kind in 'iu' else array.astype(np.float64)
     if not columns:
         raise BagError(f'{path}: has no numeric arrays')
     return Table(path, columns, constants)

@@ -140,13 +140,18 @@ def test_several_files_of_a_folder_are_merged_by_time(tmp_path):
         ('unit: ms, offset: 1.0', 'unit: ms, offset: -1.0', 'begin at -1.000 s; add an offset'),
         ('column: t, unit', 'rate: 3, column: t, unit', 'expected either column or rate'),
         ('column: az', 'column: name', "line 3, column 'name': 'a' is not a number"),
-        ('text:', 'test:', "unknown key 'test'; known: csv, files, text, topics"),
+        ('text:', 'test:', "unknown key 'test'; known: copy, csv, files, text, topics"),
         ('    frame_id', '    nan: maybe\n    frame_id', "nan is 'maybe', expected skip | error | keep"),
         ('topics:', 'topics: []\nx:', 'unknown key'),
         ('csv: {comment', 'csv: {coment', 'is malformed; expected delimiter'),
         ('csv: {comment', "csv: {delimiter: '\\t', comment", 'expected one character'),
         ('csv: {comment', 'csv: {delimiter: 5, comment', 'expected one character'),
         ('sensor_msgs/msg/Imu', 'geometry_msgs/msg/Twist', 'has no header for a frame_id'),
+        (
+            "'orientation_covariance[0]': -1.0",
+            'orientation_covariance: [-1, 0]',
+            '[-1, 0] does not fit a ndarray',
+        ),
     ],
 )
 def test_bad_mappings_are_one_clear_line(files, capsys, old, new, words):

@@ -65,6 +65,7 @@ from ins_gps.layout import (
     SEC,
 )
 from ins_gps.orbit import range_and_rate
+from ins_gps.orbit_change import keep_orbit
 from ins_gps.prediction import covariance_of, inject
 
 
@@ -277,13 +278,11 @@ def _keep_phases(state, channels, config, rows, use, report):
         if use[i] < 0:
             continue
         at = HEAD + use[i] * CHANNEL_WIDTH
+        keep_orbit(state, at, rows[i])
         if not math.isfinite(rows[i, 4]):
             continue
         present[use[i]] = True
         state[at + C_PHASE] = rows[i, 4] * wavelength(rows[i, 2])
-        state[at + C_SATCLK] = SPEED_OF_LIGHT * rows[i, 15]
-        for k in range(3):
-            state[at + C_SAT + k] = rows[i, 9 + k]
         if report[i, REPORT_RATE] != RATE_USED or config[RATES] != 2.0:
             state[at + C_NOISE] = 0.0
             index = CHANNEL + PER_CHANNEL * use[i] + 2

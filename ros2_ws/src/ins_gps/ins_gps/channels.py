@@ -32,6 +32,9 @@ from ins_gps.layout import (
     K_RANGE,
     K_RATE,
     K_SEC,
+    K_SHIFT,
+    K_SHIFT_NSEC,
+    K_SHIFT_SEC,
     NAVIGATION,
     NSEC,
     PER_CHANNEL,
@@ -40,6 +43,7 @@ from ins_gps.layout import (
     SLOTS_PER_SYSTEM,
 )
 from ins_gps.orbit import range_and_rate
+from ins_gps.orbit_change import follow_orbit
 from ins_gps.prediction import CONFIG_PREDICTION, covariance_of, signatures_of
 from kalman_core.earth import ecef_from_geodetic
 
@@ -301,24 +305,35 @@ def antenna_velocity(state, config, mat_nb, mat_en, out):
 
 
 @njit(cache=True, nogil=True)
+def correction_slot(channels, row):
+    """Return where the correction of a row's satellite begins."""
+    slot = int(row[0]) * SLOTS_PER_SYSTEM + int(row[1])
+    return HEAD + channels * CHANNEL_WIDTH + slot * CORRECTION_WIDTH
+
+
+@njit(cache=True, nogil=True)
 def correction_of(state, channels, config, row):
     """Return (range correction, rate correction, valid) of a row's satellite at the state's time."""
-    slot = int(row[0]) * SLOTS_PER_SYSTEM + int(row[1])
-    at = HEAD + channels * CHANNEL_WIDTH + slot * CORRECTION_WIDTH
+    at = correction_slot(channels, row)
     if state[at + K_SEC] == 0.0:
         return 0.0, 0.0, False
     age = (state[SEC] - state[at + K_SEC]) + (state[NSEC] - state[at + K_NSEC]) * 1e-9
     if abs(age) > config[CORRECTION_AGE]:
         return 0.0, 0.0, False
-    return state[at + K_RANGE] + age * state[at + K_RATE], state[at + K_RATE], True
+    value = state[at + K_RANGE] + age * state[at + K_RATE]
+    changed = (state[at + K_SHIFT_SEC] - state[at + K_SEC]) + (
+        state[at + K_SHIFT_NSEC] - state[at + K_NSEC]
+    ) * 1e-9
+    if state[at + K_SHIFT_SEC] != 0.0 and changed > 0.0:
+        value += state[at + K_SHIFT]
+    return value, state[at + K_RATE], True
 
 
 @njit(cache=True, nogil=True)
 def store_corrections(state, channels, rows, sec, nsec):
     """Keep a base's corrections: rows (m, 5) of `samples.CORRECTION_FIELDS`."""
     for i in range(len(rows)):
-        slot = int(rows[i, 0]) * SLOTS_PER_SYSTEM + int(rows[i, 1])
-        at = HEAD + channels * CHANNEL_WIDTH + slot * CORRECTION_WIDTH
+        at = correction_slot(channels, rows[i])
         state[at + K_RANGE] = rows[i, 2]
         state[at + K_RATE] = rows[i, 3]
         state[at + K_SEC] = sec
@@ -387,8 +402,11 @@ def assign(state, channels, config, rows, site, mat_en, use, report):
             use[i] = channel_of(state, channels, config, key, corrected)
             if use[i] < 0:
                 continue
-            # Seen now: cannot lose its channel to a later row of this epoch.
             at = HEAD + use[i] * CHANNEL_WIDTH
+            since = (state[SEC] - state[at + C_SEC]) + (state[NSEC] - state[at + C_NSEC]) * 1e-9
+            estimated = config[CLONES] > 0.0
+            follow_orbit(state, at, correction_slot(channels, row), estimated, row, site, since)
+            # Seen now: cannot lose its channel to a later row of this epoch.
             state[at + C_SEC], state[at + C_NSEC] = state[SEC], state[NSEC]
             report[i, REPORT_ELEVATION] = weight_of(config, elevation, row[6])
             count += 1

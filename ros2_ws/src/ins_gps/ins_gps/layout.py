@@ -44,13 +44,16 @@ C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_
 # agreement.
 C_PLUS, C_MINUS, C_ONSET, C_SCORE, C_INFORMATION, C_SIGN, C_BARRED, C_AGREED = 12, 13, 14, 15, 16, 17, 18, 19
 C_CORRECTED = 20  # 1: the slow error is that of a code with DGPS correction
-CHANNEL_WIDTH = 21
+C_CODE, C_VELOCITY, C_DRIFT = 21, 22, 25  # m, m/s, m/s: of the epoch of C_SAT; code 0: not known
+CHANNEL_WIDTH = 26
 
 # DGPS corrections: one slot per satellite that can exist.
 SLOTS_PER_SYSTEM = 40
 CORRECTION_SLOTS = 2 * SLOTS_PER_SYSTEM
 K_RANGE, K_RATE, K_SEC, K_NSEC = 0, 1, 2, 3
-CORRECTION_WIDTH = 4
+# Step (m) of the modelled range at the last change of the ephemeris, and when that was.
+K_SHIFT, K_SHIFT_SEC, K_SHIFT_NSEC = 4, 5, 6
+CORRECTION_WIDTH = 7
 
 
 def error_states(channels: int) -> int:

@@ -91,6 +91,8 @@ def _rate(state, channels: int, row, since: float) -> float:
         at = HEAD + i * CHANNEL_WIDTH
         if state[at + C_KEY] == key and state[at + C_PHASE] != 0.0 and since > 0.0 and not row[8] > 0.0:
             change = row[4] * wavelength(row[2]) - state[at + C_PHASE]
+            if math.isfinite(row[16]):  # unlike the difference of clocks not upset by a new ephemeris
+                return change / since + SPEED_OF_LIGHT * row[16]
             return (change + SPEED_OF_LIGHT * row[15] - state[at + C_SATCLK]) / since
     return math.nan
 

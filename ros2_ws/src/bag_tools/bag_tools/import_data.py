@@ -25,6 +25,7 @@ from bag_tools.topic_tables import read_topic
 
 FOLDER = Path(__file__).parent / 'mappings'
 _PROGRESS_STRIDE = 1024
+_KINDS: dict[type, str] = {np.ndarray: 'the list of numbers', str: 'a text', int: 'a whole number'}
 _FROM = "expected tables, or 'from: TOPIC' in each topic of {}"
 
 
@@ -101,7 +102,9 @@ def _set_constant(message: Any, path: str, value: Any) -> None:
     except (TypeError, ValueError, OverflowError):
         pass
     if type(value) is not kind:
-        raise BagError(f"set '{path}': {value!r} does not fit a {kind.__name__.split('__')[-1]}")
+        raise BagError(
+            f"set '{path}': {value!r} does not fit {_KINDS.get(kind, kind.__name__.split('__')[-1])}"
+        )
     parent, _, name = path.rpartition('.')
     holder = walk(message, parent) if parent else message
     if name.endswith(']'):

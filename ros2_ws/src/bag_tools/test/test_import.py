@@ -150,7 +150,7 @@ def test_several_files_of_a_folder_are_merged_by_time(tmp_path):
         (
             "'orientation_covariance[0]': -1.0",
             'orientation_covariance: [-1, 0]',
-            '[-1, 0] does not fit a ndarray',
+            '[-1, 0] does not fit the list of numbers',
         ),
     ],
 )

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag of another driver becomes one of these conventions: axes, units, stamps; the rest comes along."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -226,10 +227,10 @@ def test_lists_and_times_are_columns(tmp_path):
         ('{vector: vector}', '{}', 'expected at least one field'),
         ('vector: vector', 'header.stamp: vector.x', "field 'header.stamp' holds no number"),
         ('vector: vector', 'header.frame_id: vector.x', "field 'header.frame_id' holds no number"),
-        ('fields', 'set: {vector.x: abc}\n    fields', "set 'vector.x': 'abc' does not fit a float"),
-        ('fields', 'set: {vector: [1, 2]}\n    fields', "set 'vector': [1, 2] does not fit a Vector3"),
+        ('fields', 'set: {vector.x: abc}\n    fields', "set 'vector.x': 'abc' does not fit float"),
+        ('fields', 'set: {vector: [1, 2]}\n    fields', "set 'vector': [1, 2] does not fit Vector3"),
         ('fields', 'set: {header: 5}\n    fields', "set 'header': 5 does not fit"),
-        ('fields', 'set: {header.frame_id: 5}\n    fields', "set 'header.frame_id': 5 does not fit a str"),
+        ('fields', 'set: {header.frame_id: 5}\n    fields', "set 'header.frame_id': 5 does not fit a text"),
         ('fields', 'set: [a]\n    fields', 'set: expected a mapping'),
         ('topics:', 'files: [a]\ntopics:', 'files: expected a mapping'),
         ('    from: in\n', '', "in.mcap: is a bag; expected tables, or 'from: TOPIC' in each topic of"),
@@ -317,3 +318,24 @@ def test_sources_of_other_kinds_are_named(tmp_path, capsys):
     copying = mapping(tmp_path, 'copy: a' + PLAIN.replace('    from: in\n', ''))
     assert tool.main([copying, str(tmp_path / 'in.csv'), str(tmp_path / 'out')]) == 2
     assert "'copy' is for bags" in capsys.readouterr().err
+
+
+def axes_table():
+    """Return (signs read, force factors, factors of the rest) of each row of the FAQ."""
+    text = (FIXTURE.parents[1] / 'docs' / 'faq.md').read_text(encoding='utf-8')
+    rows = re.findall(r'^\| ([+−]) ([+−]) ([+−]) \|.*?\| (.*?) \| (.*?) \|$', text, re.MULTILINE)
+    for *signs, force, rest in rows:
+        read = np.array([1 if s == '+' else -1 for s in signs])
+        numbers = [np.array(re.findall(r'-?1', cell) or [1, 1, 1], dtype=int) for cell in (force, rest)]
+        yield read, *numbers
+
+
+def test_the_axes_of_the_faq_restore_the_force_and_never_mirror():
+    rows = list(axes_table())
+    assert len({tuple(read) for read, _, _ in rows}) == len(rows) == 5
+    for read, force, rest in rows:
+        # Each position shows the sign of one axis of the specific force, + in our own.
+        assert np.array_equal(read * force, [1, 1, 1])
+        assert np.prod(rest) == 1
+        # What is not a rotation of the force is one of its opposite: the sensor reports gravity.
+        assert np.array_equal(force, rest * np.prod(read))

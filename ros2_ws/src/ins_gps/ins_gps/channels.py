@@ -341,6 +341,20 @@ def store_corrections(state, channels, rows, sec, nsec):
 
 
 @njit(cache=True, nogil=True)
+def has_code(state, channels, config, row):
+    """Return whether a row has a code that can be used.
+
+    A correction holds the ionosphere of the first band: without a model nothing says how much more another
+    band has, and it is metres.
+    """
+    if not math.isfinite(row[3]):
+        return False
+    if row[2] == FIRST_BAND or math.isfinite(row[17]):
+        return True
+    return not correction_of(state, channels, config, row)[2]
+
+
+@njit(cache=True, nogil=True)
 def corrected_range(state, channels, config, row):
     """Return (pseudorange free of satellite clock and modelled delays (m), rate correction, corrected).
 

@@ -51,6 +51,7 @@ from ins_gps.channels import (
     corrected_range,
     correction_of,
     decay_multipath,
+    has_code,
     wavelength,
 )
 from ins_gps.constants import (
@@ -266,7 +267,7 @@ def gnss_epoch(state, channels, config, rows, sec, nsec, report, summary):
     status = np.zeros(m, np.int64)
     codes = 0
     for i in range(m):
-        if use[i] < 0 or not math.isfinite(rows[i, 3]):
+        if use[i] < 0 or not has_code(state, channels, config, rows[i]):
             continue
         if state[HEAD + use[i] * CHANNEL_WIDTH + C_BARRED] > 0.0:
             report[i, REPORT_CODE] = ROW_DRIFTS

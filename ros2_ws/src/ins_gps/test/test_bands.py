@@ -7,13 +7,23 @@ import numpy as np
 import pytest
 
 from ins_gps import layout as at
-from ins_gps.channels import channel_of, corrected_range, store_corrections, wavelength
+from ins_gps.batch import run_batch
+from ins_gps.channels import (
+    REPORT_CODE,
+    ROW_UNUSED,
+    ROW_USED,
+    channel_of,
+    corrected_range,
+    store_corrections,
+    wavelength,
+)
 from ins_gps.configuration import config_array
 from ins_gps.constants import FREQUENCY_L1, FREQUENCY_L2, FREQUENCY_L5, SPEED_OF_LIGHT
-from ins_gps.evaluation import evaluate, filter_params
+from ins_gps.evaluation import START_SIGMAS, compare, evaluate, filter_params, start_wrong
+from ins_gps.filter import NavigationFilter
 from ins_gps.params import FilterParams
 from ins_gps.prediction import covariance_of
-from ins_gps.samples import OBS, OBSERVATION_COLUMNS, GnssEpoch
+from ins_gps.samples import OBS, OBSERVATION_COLUMNS, Corrections, GnssEpoch
 from ins_gps.simulation import STANDALONE, Scenario
 from ins_gps.simulation_gnss import simulate
 from kalman_core.consistency import chi2_band
@@ -77,6 +87,40 @@ def test_a_correction_made_on_l1_leaves_the_rest_of_the_ionosphere_of_another_ba
     value, _, corrected = corrected_range(state, 4, config, row)
     assert corrected
     assert value == pytest.approx(range_, abs=1e-6)
+
+
+@pytest.mark.parametrize('modelled', [False, True])
+@pytest.mark.parametrize('seed', [1000, 1001])
+def test_a_correction_of_l1_is_put_on_another_band_only_with_a_model_of_the_ionosphere(modelled, seed):
+    """Base and rover see 3 to 12 m of it on L1. Used without a model, L5 moved the position by 0.3 m."""
+    budget = replace(STANDALONE, ionosphere=0.0, troposphere=0.0, orbit=0.3, white=False)
+    run = simulate(Scenario(trajectory='s_turns', duration=40.0, imu_rate=20.0, budget=budget), seed)
+    delay = np.random.default_rng(seed).uniform(3.0, 12.0, 40)
+    ratio = (FREQUENCY_L1 / FREQUENCY_L5) ** 2
+    alone, both, corrections = [], [], []
+    for epoch in run.epochs:
+        own = delay[epoch.rows[:, 1].astype(int)]
+        first, fifth = epoch.rows.copy(), epoch.rows.copy()
+        first[:, 3] += own
+        fifth[:, 2], fifth[:, 4:6] = 5.0, np.nan
+        fifth[:, 3] += ratio * own
+        if modelled:
+            first[:, OBS['ionosphere']], fifth[:, OBS['ionosphere']] = own, ratio * own
+        zero = np.zeros(len(own))
+        corrections.append(Corrections(epoch.stamp, np.column_stack([zero, first[:, 1], -own, zero, zero])))
+        alone.append(GnssEpoch(epoch.stamp, first))
+        both.append(GnssEpoch(epoch.stamp, np.vstack([first, fifth])))
+    results = []
+    for epochs in (alone, both):
+        navigation = NavigationFilter(filter_params(budget, channels=16, code_band=3.0))
+        start_wrong(navigation, run, seed, START_SIGMAS)
+        history = run_batch(navigation, run.stamps[1:], run.rate, run.force, epochs, corrections)
+        results.append(compare(run, history, navigation))
+    codes = results[1].fates[-1][len(alone[-1].rows) :, 2 + REPORT_CODE]
+    assert (codes == (ROW_USED if modelled else ROW_UNUSED)).all()
+    if not modelled:
+        np.testing.assert_allclose(results[1].errors, results[0].errors, rtol=0.0, atol=1e-9)
+    assert results[1].nees(slice(0, 3))[20:].mean() < 3.0 * 3.0
 
 
 def with_bands(run, bands, seed):

@@ -51,7 +51,7 @@ def section(results: Sequence[Result]) -> RunResult:
         name=job.bag.stem,
         comparisons={r.entry.label: [r.comparison] for r in ordered},
         text=f'{job.replay.title[0].upper()}{job.replay.title[1:]}. The live graph {verdict}.',
-        nis=nis_of(ordered[0].offline),
+        nis=nis_of(ordered[0].offline, ordered[0].entry.label),
         timing=timing,
     )
 

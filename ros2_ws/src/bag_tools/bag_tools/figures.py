@@ -55,6 +55,9 @@ _NAMES = {code: name for name, code in _KEYS.items()}
 # Enough for every pixel of a panel to show the extremes of what falls on it.
 _BINS = 360
 _PANEL = (4.4, 2.1)  # inches; at 72 points per inch the width of a phone's screen
+# Characters that a line's name and a panel's title have room for.
+_NAME = 24
+_TITLE = 44
 _STYLE: Any = {
     'font.family': 'sans-serif',
     'font.size': 9.0,
@@ -80,13 +83,14 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One small plot. `zero` marks the zero line; `log` is for quantities over decades."""
+    """One small plot. `zero` marks the zero line; `log` is for quantities over decades; `span` are s."""
 
     title: str
     unit: str
     lines: Sequence[Line]
     zero: bool = False
     log: bool = False
+    span: tuple[float, float] | None = None
 
 
 def thin(x: Array, y: Array) -> tuple[Array, Array]:
@@ -128,6 +132,35 @@ def spread(targets: Array, least: float, low: float, high: float) -> Array:
     result = np.empty_like(placed)
     result[order] = placed
     return result
+
+
+def middle_cut(text: str, limit: int) -> str:
+    """Return `text` with its middle left out where it is longer than `limit`: topics differ at either end."""
+    if len(text) <= limit:
+        return text
+    head = (limit - 1) // 2
+    return f'{text[:head]}…{text[head + 1 - limit :]}'
+
+
+def short_names(names: Sequence[str], limit: int = _NAME) -> list[str]:
+    """Return `names` in at most `limit` characters, without the folders that all long paths share."""
+    if all(len(name) <= limit for name in names):
+        return list(names)
+    paths = [name.strip('/').split('/') for name in names if '/' in name]
+    depth = min(map(len, paths), default=0)
+    # At least one part of each path stays.
+    same = [len({path[i] for path in paths}) == 1 for i in (*range(depth), *range(-depth, 0))]
+    head = (same[:depth] + [False]).index(False)
+    tail = (same[depth:][::-1] + [False]).index(False)
+    if len(paths) < 2 or head + tail >= depth:
+        return [middle_cut(name, limit) for name in names]
+    short = []
+    for name in names:
+        parts = name.strip('/').split('/')
+        if len(name) > limit and len(parts) > head + tail:
+            name = f'{"…/" * bool(head)}{"/".join(parts[head : len(parts) - tail])}{"/…" * bool(tail)}'
+        short.append(middle_cut(name, limit))
+    return short
 
 
 def _limits(panel: Panel) -> tuple[float, float]:
@@ -180,14 +213,16 @@ def _label_lines(ax: Axes, panel: Panel) -> None:
         )
     height = ax.get_position().height * ax.figure.get_figheight() * 72.0  # type: ignore[union-attr]
     places = spread(np.array(ends), 11.0 / height, 0.04, 0.96)
-    for line, place in zip(panel.lines, places):
+    names = short_names([line.name for line in panel.lines])
+    for line, name, place in zip(panel.lines, names, places):
         color = _KEYS[line.color]
-        ax.text(1.015, place, line.name, transform=ax.transAxes, va='center', fontsize=8.5, color=color)
+        ax.text(1.015, place, name, transform=ax.transAxes, va='center', fontsize=8.5, color=color)
 
 
 def _dress(ax: Axes, panel: Panel) -> None:
+    title = middle_cut(panel.title, _TITLE)
     ax.set_title(
-        f'{panel.title} [{panel.unit}]' if panel.unit else panel.title,
+        f'{title} [{panel.unit}]' if panel.unit else title,
         loc='left', fontsize=9.5, color=_KEYS['ink'], pad=6,
     )  # fmt: skip
     ax.grid(True, color=_KEYS['grid'], linewidth=0.7)
@@ -202,9 +237,9 @@ def _dress(ax: Axes, panel: Panel) -> None:
 
 def _margins(panel: Panel) -> tuple[float, float]:
     """Return the left and right margins (share of the width) that tick labels and line names need."""
-    longest = max((len(line.name) for line in panel.lines), default=0)
+    longest = max(map(len, short_names([line.name for line in panel.lines])), default=0)
     # About 4.9 points a character of the 8.5 point face.
-    return 44.0 / (_PANEL[0] * 72.0), min(8.0 + 4.9 * longest, 130.0) / (_PANEL[0] * 72.0)
+    return 44.0 / (_PANEL[0] * 72.0), (8.0 + 4.9 * longest) / (_PANEL[0] * 72.0)
 
 
 def draw(panels: Sequence[Panel], columns: int = 1) -> Figure:
@@ -229,6 +264,9 @@ def draw(panels: Sequence[Panel], columns: int = 1) -> Figure:
             _draw_lines(ax, panel)
             ax.set_ylim(*_limits(panel))
             ax.margins(x=0.01)
+            if panel.span is not None:
+                margin = 0.01 * (panel.span[1] - panel.span[0])
+                ax.set_xlim(panel.span[0] - margin, panel.span[1] + margin)
             _dress(ax, panel)
             _label_lines(ax, panel)
         return fig

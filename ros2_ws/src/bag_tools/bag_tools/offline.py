@@ -46,7 +46,7 @@ class SensorHealth:
 class OfflineResult:
     """What a run did: messages in and out by topic, what was counted, wall time (s) without warm-up.
 
-    `absent` are the input topics that the bag does not have.
+    `absent` are the input topics that the bag does not have; `start` is when the bag begins (ns).
     """
 
     inputs: dict[str, int]
@@ -54,6 +54,7 @@ class OfflineResult:
     outputs: dict[str, int]
     tally: Tally
     health: dict[str, SensorHealth]
+    start: int
     seconds: float
     estimator: Any
 
@@ -189,8 +190,9 @@ def offline(
             counts, health = _run(reader, writer, driver, inputs, sink, copies, progress)
     seconds = time.perf_counter() - started
     written = {name: writer.counts[name] for name in sorted(outputs)}
+    absent = sorted(set(wanted) - set(inputs))
     return OfflineResult(
-        counts, sorted(set(wanted) - set(inputs)), written, driver.tally, health, seconds, driver.estimator
+        counts, absent, written, driver.tally, health, reader.start, seconds, driver.estimator
     )
 
 

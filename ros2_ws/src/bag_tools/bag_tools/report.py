@@ -26,7 +26,7 @@ DIAGNOSTICS = '/diagnostics'
 
 @dataclass(frozen=True, slots=True)
 class NisTrace:
-    """Smoothed NIS of one sensor: `seconds`, `nis` and `gate` (n,); the gate is NaN where unknown."""
+    """Smoothed NIS of one sensor: `seconds` of the bag, `nis` and `gate` (n,), NaN where unknown."""
 
     seconds: Array
     nis: Array
@@ -37,8 +37,8 @@ class NisTrace:
 class RunResult:
     """One run of the report: what each estimator made of the same data.
 
-    `comparisons` by estimator, the family's own first; `nis` by sensor; `timing` by label with unit
-    (``{'p99 per message [µs]': 31.0}``).
+    `comparisons` by estimator, the family's own first; `nis` by sensor, or by ``estimator: sensor`` where
+    there are several; `timing` by label with unit (``{'p99 per message [µs]': 31.0}``).
     """
 
     name: str
@@ -57,13 +57,14 @@ class Chapter:
     body: str = ''
 
 
-def nis_of(result: OfflineResult) -> dict[str, NisTrace]:
-    """Return the NIS that an offline run noted once a second."""
+def nis_of(result: OfflineResult, estimator: str = '') -> dict[str, NisTrace]:
+    """Return the NIS that an offline run noted once a second, by sensor, or by `estimator` and sensor."""
     traces = {}
+    owner = f'{estimator}: ' if estimator else ''
     for name, health in result.health.items():
         stamps = np.array(health.stamps, dtype=np.int64)
-        seconds = (stamps - stamps[0]).astype(np.float64) / NANOSECONDS
-        traces[name] = NisTrace(seconds, np.array(health.nis), np.array(health.gate))
+        seconds = (stamps - result.start).astype(np.float64) / NANOSECONDS
+        traces[f'{owner}{name}'] = NisTrace(seconds, np.array(health.nis), np.array(health.gate))
     return traces
 
 
@@ -216,13 +217,17 @@ def panels_of(run: RunResult, colors: Mapping[str, str]) -> dict[str, list[Panel
     return panels
 
 
-def _nis_panels(run: RunResult) -> list[Panel]:
+def panels_of_nis(run: RunResult) -> list[Panel]:
+    """Return a panel for each sensor, on the time axis of the errors."""
     panels = []
+    # On the axis of the errors above, whenever a sensor began.
+    last = max((c.times[-1] for cs in run.comparisons.values() for c in cs if len(c.times)), default=0.0)
     for name, trace in run.nis.items():
         lines = [Line('NIS', trace.seconds, trace.nis, 's0')]
         if np.any(np.isfinite(trace.gate)):
             lines.append(Line('gate', trace.seconds, trace.gate, 's1', dashed=True))
-        panels.append(Panel(name, '', lines, log=True))
+        end = max(float(last), float(trace.seconds[-1]))
+        panels.append(Panel(name, '', lines, log=True, span=(0.0, end)))
     return panels
 
 
@@ -234,7 +239,7 @@ def _details(run: RunResult, colors: Mapping[str, str], pngs: Path | None) -> st
         parts.append(f'<h3>{html.escape(role.replace("_", " ").capitalize())}</h3>{grid(panels, run.name)}')
         if pngs is not None:
             png(panels, pngs / f'{slug(run.name)}_{slug(role)}.png', columns=2)
-    nis = _nis_panels(run)
+    nis = panels_of_nis(run)
     if nis:
         parts.append(
             '<h3>Normalised innovation squared</h3><p class="note">Smoothed over about 50 updates; near its '

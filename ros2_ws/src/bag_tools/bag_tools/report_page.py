@@ -22,10 +22,17 @@ def number(value: float | None) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, names: int | None = None) -> str:
-    """Return a table of HTML cells; the first `names` columns are text (default: one, or two of three)."""
+    """Return a table of HTML cells; the first `names` columns are text (default: one, or two of three).
+
+    On a narrow screen a row becomes a card: its names, then each cell under the head of its column.
+    """
+    labels = [html.escape(html.unescape(re.sub('<[^>]*>', '', cell)), quote=True) for cell in head]
     kind = ' class="named"' if (names if names is not None else len(head) - 1) > 1 else ''
     top = ''.join(f'<th>{cell}</th>' for cell in head)
-    body = ''.join('<tr>' + ''.join(f'<td>{c}</td>' for c in row) + '</tr>' for row in rows)
+    body = ''.join(
+        '<tr>' + ''.join(f'<td data-head="{label}">{c}</td>' for label, c in zip(labels, row)) + '</tr>'
+        for row in rows
+    )
     return (
         f'<div class="scroll"><table{kind}><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
     )
@@ -66,10 +73,21 @@ th,td{padding:.4em .8em;text-align:right;white-space:nowrap;border-bottom:1px so
 th{color:var(--muted);font-weight:600;vertical-align:bottom}
 td:first-child,th:first-child,.named td:nth-child(2),.named th:nth-child(2){text-align:left}
 tbody tr:last-child td{border-bottom:0}
-.chip{white-space:nowrap;margin-right:.9em}
-.chip i{display:inline-block;width:.75em;height:.75em;border-radius:2px;margin-right:.4em}
-@media (max-width:600px){th,td{padding:.35em .45em;font-size:.8rem}
- td:first-child,th,.named td:nth-child(2){white-space:normal;min-width:5.5em}}
+.chip{display:inline-flex;align-items:baseline;margin-right:.9em;overflow-wrap:anywhere}
+.chip i{flex:none;width:.75em;height:.75em;border-radius:2px;margin-right:.4em}
+@media (max-width:1000px){th,td{padding:.35em .5em}td,th{white-space:normal}
+ .named td:nth-child(2){min-width:9em}}
+@media (max-width:640px){thead{display:none}table,tbody{display:block}
+ tr{display:grid;grid-template-columns:repeat(auto-fill,minmax(5em,1fr));gap:.15em .5em;padding:.5em .6em;
+  border-bottom:1px solid var(--grid)}
+ tbody tr:last-child{border-bottom:0}
+ td{display:block;padding:0;border:0;text-align:left;font-size:.76rem;overflow-wrap:anywhere}
+ td:empty{display:none}
+ td:before{content:attr(data-head);display:block;color:var(--muted);font-size:.7rem;line-height:1.2}
+ td:first-child,.named td:nth-child(2){grid-column:1/-1}
+ td:first-child{font-size:.875rem;font-weight:600}
+ td:first-child:before,.named td:nth-child(2):before{content:none}
+}
 .grid{margin:.6em 0;display:grid;gap:12px;
  grid-template-columns:repeat(auto-fill,minmax(min(100%%,440px),1fr))}
 figure{margin:0;padding:8px;background:var(--panel);border:1px solid var(--grid);border-radius:8px}

@@ -9,16 +9,28 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from bag_samples import MIX, SECOND, write_sensors
+from bag_samples import IMU, MAG, MIX, SECOND, imu, mag, write_sensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from bag_tools import report as tool
 from bag_tools.bag import BagError, BagWriter, zeroed
 from bag_tools.errors import quaternions
-from bag_tools.figures import DARK, LIGHT, broken, spread, thin
+from bag_tools.figures import DARK, LIGHT, Line, Panel, broken, draw, short_names, spread, thin
 from bag_tools.offline import offline
-from bag_tools.report import NisTrace, RunResult, bag_names, diagnostics_of, nis_of, write_report
+from bag_tools.report import (
+    Chapter,
+    NisTrace,
+    RunResult,
+    bag_names,
+    diagnostics_of,
+    nis_of,
+    panels_of_nis,
+    write_chapters,
+    write_report,
+)
+from bag_tools.report_page import table
 from bag_tools.score import evaluate
 from bag_tools.series import Series
 
@@ -199,6 +211,64 @@ def test_command_line_reports_bags(tmp_path, capsys):
     assert "no topic '/absent'" in capsys.readouterr().err
 
 
+def test_nis_lies_on_the_time_axis_of_the_bag_and_says_whose_it_is(tmp_path):
+    with BagWriter(tmp_path / 'in') as bag:
+        bag.add('imu/data_raw', IMU)
+        bag.add('imu/mag', MAG)
+        for k in range(100):
+            stamp = SECOND + k * SECOND // 10
+            bag.write('/imu/mag', stamp, mag(stamp, (1.0, 2.0, 3.0)))
+            if k > 40:
+                bag.write('/imu/data_raw', stamp, imu(stamp, (1.0, 2.0, 3.0)))
+    result = offline(MIX, {}, tmp_path / 'in', tmp_path / 'out')
+    traces = nis_of(result, 'mix')
+    assert list(traces) == ['mix: imu/data_raw']
+    assert traces['mix: imu/data_raw'].seconds == pytest.approx(np.arange(5.0, 10.0))
+    errors = comparison(0.01, 1)
+    (panel,) = panels_of_nis(RunResult('run', {'mix': [errors]}, nis=traces))
+    assert panel.title == 'mix: imu/data_raw'
+    assert panel.span == (0.0, pytest.approx(errors.times[-1]))
+    low, high = draw([panel]).axes[0].get_xlim()
+    assert low < 0.0
+    assert high > errors.times[-1]
+
+
+@pytest.mark.parametrize(
+    ('names', 'short'),
+    [
+        (['imu/data', 'truth'], ['imu/data', 'truth']),
+        (
+            ['robot/front/attitude/imu/data', 'robot/rear/attitude/imu/data', 'truth'],
+            ['…/front/…', '…/rear/…', 'truth'],
+        ),
+        (['robot/localisation/filtered/a', 'robot/localisation/filtered/b'], ['…/a', '…/b']),
+        (['a_very_long_name_without_any_folders'], ['a_very_long…_any_folders']),
+        (['robot/front/attitude/imu/data', 'truth'], ['robot/front…ude/imu/data', 'truth']),
+        (['same/topic/of/a/long/name', 'same/topic/of/a/long/name'], ['same/topic/…/a/long/name'] * 2),
+    ],
+)
+def test_long_names_keep_what_tells_them_apart(names, short):
+    assert short_names(names) == short
+
+
+@given(st.lists(st.text('ab/_', min_size=1, max_size=60), min_size=1, max_size=5))
+@settings(max_examples=200, deadline=None)
+def test_short_names_are_short(names):
+    assert all(0 < len(name) <= 24 for name in short_names(names))
+
+
+def test_every_name_and_title_lies_within_its_panel():
+    x = np.arange(10.0)
+    names = ['robot/front/attitude/imu/data', 'robot/front_left_wheel_housing/attitude/imu/data', 'M' * 60]
+    panel = Panel('attitude_estimator: ' + 'robot/sensor/' * 4, 'm', [Line(n, x, x, 's0') for n in names])
+    figure = draw([panel])
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    (ax,) = figure.axes
+    for text in (ax.title, ax._left_title, *ax.texts):
+        if 'M' not in text.get_text():
+            assert text.get_window_extent(renderer).x1 <= figure.bbox.x1
+
+
 def test_diagnostics_of_a_recording_give_nis_and_timing(tmp_path):
     with BagWriter(tmp_path / 'bag') as bag:
         bag.add('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
@@ -222,13 +292,14 @@ def test_diagnostics_of_a_recording_give_nis_and_timing(tmp_path):
     assert timing == {'f, p99 per message [µs]': pytest.approx(31.0)}
 
 
-def test_chromium_shows_the_page_without_overflow(page, tmp_path):
+def shown_in_chromium(page, script, tmp_path):
+    """Return the title that `script` gives to a page on a screen as narrow as a phone's."""
     chromium = shutil.which('chromium')
     if chromium is None:
         assert 'WS_REQUIRE_PROGRAMS' not in os.environ, 'chromium is not installed'
         pytest.skip('chromium is not installed')
     probe = tmp_path / 'probe.html'
-    script = '<script>document.title=document.documentElement.scrollWidth+"/"+innerWidth</script></body>'
+    script = f'<script>{script}</script></body>'
     probe.write_text(page.read_text(encoding='utf-8').replace('</body>', script), encoding='utf-8')
     base = [
         chromium,
@@ -243,7 +314,38 @@ def test_chromium_shows_the_page_without_overflow(page, tmp_path):
     ).stdout  # fmt: skip
     shown = re.search(r'<title>(\d+)/(\d+)</title>', dom)
     assert shown, dom[:500]
-    assert int(shown[1]) <= int(shown[2])
+    return int(shown[1]), int(shown[2])
+
+
+def test_chromium_shows_the_page_without_overflow(page, tmp_path):
+    script = 'document.title=document.documentElement.scrollWidth+"/"+innerWidth'
+    wide, screen = shown_in_chromium(page, script, tmp_path)
+    assert wide <= screen
+
+
+def test_no_column_of_a_table_is_off_a_narrow_screen(runs, tmp_path):
+    head = table(
+        ('system', 'figure', 'paper', 'best peer', 'here', 'bar <b>&amp; "more"</b>'),
+        [
+            (
+                'INS/GPS',
+                'mean error after 60 s',
+                '6.57 m',
+                'memoryless fix 1.614 m',
+                '<b>0.1018 m</b>',
+                '≤ 0.12 m',
+            )
+        ],
+    )
+    assert 'data-head="bar &amp; &quot;more&quot;"' in head
+    page = write_chapters(tmp_path / 'r.html', [Chapter('A', runs)], 'Five', head)
+    script = (
+        'document.querySelectorAll("details").forEach(d=>d.open=true);'
+        'document.title=Math.round(Math.max(...[...document.querySelectorAll("td,figure")].map('
+        'e=>e.getBoundingClientRect().right)))+"/"+innerWidth'
+    )
+    right, screen = shown_in_chromium(page, script, tmp_path)
+    assert 300 < right <= screen <= 500
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import sqlite3
 import tempfile
@@ -161,7 +162,8 @@ def _locate(path: Path) -> Path:
             raise BagError(f'{path}: no metadata.yaml in this folder; {EXPECTED}')
         return files[0]
     if path.is_file() and path.suffix == ROS1_SUFFIX:
-        command = f'rosbags-convert --src {path} --dst {path.stem} --dst-typestore ros2_jazzy'
+        source, target = shlex.quote(str(path)), shlex.quote(path.stem)
+        command = f'rosbags-convert --src {source} --dst {target} --dst-typestore ros2_jazzy'
         raise BagError(f'{path}: is a bag of ROS 1; convert it: {command}')
     if path.is_file() and path.suffix not in SUFFIXES:
         raise BagError(f'{path}: not a bag; {EXPECTED}')

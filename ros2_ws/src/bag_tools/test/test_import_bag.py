@@ -2,6 +2,7 @@
 """A bag of another driver becomes one of these conventions: axes, units, stamps; the rest comes along."""
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,9 @@ import pytest
 from bag_samples import IMU, SECOND, VECTOR, imu, stamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rosbags import rosbag1
+from rosbags.convert.cli import main as convert
+from rosbags.typesys import Stores, get_typestore
 
 from bag_tools import import_data as tool
 from bag_tools.bag import BagError, BagReader, BagWriter, zeroed
@@ -221,6 +225,10 @@ def test_lists_and_times_are_columns(tmp_path):
         ('topics:', 'files: {a: a.csv}\ntopics:', "'files' is for tables, 'from' is for bags"),
         ('topics:', 'topics:\n  - {topic: a, type: std_msgs/msg/Bool, stamp: {rate: 1}, fields: {data: b}}',
          "expected 'from' in all topics (a bag) or in none"),
+        ('header.stamp', 'vector.z', "row 1: the stamp 'vector.z' is not finite"),
+        ('    stamp: {column: header.stamp}\n', '', "'stamp' is missing"),
+        ('vector: vector', 'vector: {index: 0}', 'expected exactly one of column, columns, euler'),
+        ('vector: vector', 'vector: 5', 'expected a mapping with add, column'),
         ('column: header.stamp', 'rate: [1]', 'expected a number of Hz or the name of a constant'),
         ('column: header.stamp', 'column: header.stamp, unit: [s]', "unit '['s']' is unknown"),
         ('vector: vector', 'vector: {column: vector, index: a}', "index is 'a', expected a whole number"),
@@ -242,7 +250,7 @@ def test_what_cannot_be_read_is_one_clear_line(tmp_path, capsys, old, new, words
             bag.add(name, VECTOR)
         bag.add('names', 'sensor_msgs/msg/JointState')
         for k in range(1, 3):
-            bag.write('/in', k, vector(ODD, (1e10 * k, 0.0, 0.0)))
+            bag.write('/in', k, vector(ODD, (1e10 * k, 0.0, 0.0 if k == 1 else float('nan'))))
             bag.write('/zero', k, vector(0, (1.0, 0.0, 0.0)))
             joints = stamped(zeroed('sensor_msgs/msg/JointState'), ODD)
             joints.position = np.zeros(k)
@@ -318,6 +326,25 @@ def test_sources_of_other_kinds_are_named(tmp_path, capsys):
     copying = mapping(tmp_path, 'copy: a' + PLAIN.replace('    from: in\n', ''))
     assert tool.main([copying, str(tmp_path / 'in.csv'), str(tmp_path / 'out')]) == 2
     assert "'copy' is for bags" in capsys.readouterr().err
+
+
+def test_a_bag_of_ros_1_converts_as_the_error_says(tmp_path, monkeypatch):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    header = types['std_msgs/msg/Header'](7, types['builtin_interfaces/msg/Time'](1_767_225_600, 5), 'imu')
+    message = types[VECTOR](header, types['geometry_msgs/msg/Vector3'](1.0, 2.0, 3.0))
+    with rosbag1.Writer(tmp_path / 'my old.bag') as bag:
+        connection = bag.add_connection('/in', VECTOR, typestore=store)
+        bag.write(connection, ODD, store.serialize_ros1(message, VECTOR))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BagError, match='is a bag of ROS 1; convert it: ') as raised:
+        import_data(mapping(tmp_path, PLAIN), Path('my old.bag'), 'out')
+    monkeypatch.setattr('sys.argv', shlex.split(str(raised.value).partition('convert it: ')[2]))
+    with pytest.raises(SystemExit, match='0'):
+        convert()
+    import_data(mapping(tmp_path, PLAIN), Path('my old'), 'out')
+    ((bag_time, found),) = messages('out', '/out')
+    assert (bag_time, found.header.stamp.nanosec, found.vector.y) == (ODD, 5, 2.0)
 
 
 def axes_table():

@@ -360,7 +360,17 @@ def _recordings(options: Options) -> Iterable[Row]:
     )
     yield _row('gnss_imu_walk_60s: carrier slips rejected', walk['slips'], '')
     drive = recorded.drive(root)
-    yield _row('gnss_imu_drive: 60 s outages, mean end error', drive['end'], 'm')
+    told = recorded.drive(root, vibration=False)
+    name = 'noise of the parameters alone'
+    yield _row(
+        'gnss_imu_drive: 60 s outages, mean end error', drive['end'], 'm', reference={name: told['end']}
+    )
+    yield _row(
+        'gnss_imu_drive: NEES of position in them (3 expected)',
+        drive['nees'],
+        '',
+        reference={name: told['nees']},
+    )
     yield _row(
         'gnss_imu_drive: smoothing better by', drive['end'] / drive['smoothed'], 'times', 2.0, 'higher'
     )

@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -256,11 +257,11 @@ def walk(root: Path) -> dict[str, float]:
     }
 
 
-def drive(root: Path, outage: float = 60.0) -> dict[str, float]:
-    """Return the mean end-of-outage error (m) of the loosely coupled drive, filtered and smoothed.
+def drive(root: Path, outage: float = 60.0, **changes) -> dict[str, float]:
+    """Return errors (m) and NEES (3 expected) of position in the outages of the loosely coupled drive.
 
-    The logger's clock is unknown: its offset comes from `doctor.time_offset`. One outage every 120 s from
-    the first minute of motion on.
+    end: filtered, at the end; smoothed: largest. The logger's clock is unknown: its offset comes from
+    `doctor.time_offset`. `changes`: of the filter's parameters.
     """
     folder = root / 'gnss_imu_drive'
     track = read_track(folder / 'gnss_1934_sf.pos')
@@ -273,7 +274,7 @@ def drive(root: Path, outage: float = 60.0) -> dict[str, float]:
         mode='loose', accel_bias_sigma=0.3, gyro_bias_sigma=0.02, initial_tilt_sigma=0.05, channels=4,
         gyro_noise=3e-4, accel_noise=1e-2, gyro_bias_walk=2e-5, accel_bias_walk=5e-4,
     )  # fmt: skip
-    ends, smooth_ends, middle = [], [], []
+    ends, smoothed, nees = [], [], []
     for start in (120.0, 240.0, 360.0, 450.0):
         hidden = (seconds >= start) & (seconds < start + outage)
         samples = [
@@ -281,20 +282,21 @@ def drive(root: Path, outage: float = 60.0) -> dict[str, float]:
             for t, g, h in zip(track.stamps, track.geodetic, hidden, strict=True)
             if not h
         ]
-        run = Smoother(params, interval=0.5).run(stamps, imu.rate, imu.force, samples)
+        run = Smoother(replace(params, **changes), interval=0.5).run(stamps, imu.rate, imu.force, samples)
         t = (run.stamps - track.stamps[0]) / SECOND
-        index = np.minimum(np.searchsorted(track.stamps, run.stamps), len(track.stamps) - 1)
         inside = np.flatnonzero((t >= start) & (t < start + outage - 0.3))
+        errors = {
+            what: np.array([_off_track(track, run.stamps[k], nav[k]) for k in inside])
+            for what, nav in (('filtered', run.filtered), ('smoothed', run.smoothed))
+        }
+        e, P = errors['filtered'], run.filtered_covariance[inside][:, :3, :3]
+        ends.append(np.linalg.norm(e[-1]))
+        smoothed.append(np.linalg.norm(errors['smoothed'], axis=1).max())
+        nees.append(np.mean(np.einsum('ki,ki->k', e, np.linalg.solve(P, e[..., None])[..., 0])))
+    return {'end': float(np.mean(ends)), 'smoothed': float(np.mean(smoothed)), 'nees': float(np.mean(nees))}
 
-        def off(nav, k, index=index):
-            place = np.r_[track.geodetic[index[k]], track.velocity[index[k]], nav[k, 6:]]
-            return float(np.linalg.norm(error_of(nav[k], place)[:3]))
 
-        ends.append(off(run.filtered, inside[-1]))
-        smooth_ends.append(max(off(run.smoothed, k) for k in inside[:: max(1, len(inside) // 60)]))
-        middle.append(np.mean([off(run.filtered, k) for k in inside]))
-    return {
-        'end': float(np.mean(ends)),
-        'smoothed': float(np.mean(smooth_ends)),
-        'mean': float(np.mean(middle)),
-    }
+def _off_track(track, stamp: int, nav) -> np.ndarray:
+    """Return the position error (3,) m of `nav` against the track between its points."""
+    geodetic = [np.interp(stamp, track.stamps, track.geodetic[:, i]) for i in range(3)]
+    return error_of(nav, np.r_[geodetic, nav[3:]])[:3]

@@ -35,6 +35,7 @@ def config_array(params: FilterParams) -> np.ndarray:
         params.gap_rate,
         float(full),
         float(full),
+        float(full and params.vibration),
         params.code_noise,
         params.code_slow,
         params.code_slow_alone,

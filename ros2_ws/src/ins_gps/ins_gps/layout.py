@@ -34,7 +34,10 @@ IMU_STEP = 64  # s, the last interval of the IMU
 BEFORE_VELOCITY = 61  # velocity of the epoch before, while coasting
 WHEEL_SUMS = 65  # lateral and vertical: leaky sums of the non-holonomic innovations in σ
 HELD = 67  # s over which the last IMU sample has been held
-HEAD = 68
+NOISE_SEC, NOISE_NSEC, NOISE_COUNT = 68, 69, 70  # of `vibration`: the last sample; how many before it fit
+NOISE_DIFFERENCES = 71  # per axis the last sample and its first and second difference
+NOISE_PSD = 89  # (rad/s)²/Hz, then (m/s²)²/Hz, by axis of the IMU
+HEAD = 95
 
 # One channel.
 C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_REJECTED = (

@@ -29,6 +29,9 @@ class FilterParams:
     )
     gyro_noise: float = parameter(1e-4, 'white noise of the rates', unit='rad/s/√Hz', minimum=0.0)
     accel_noise: float = parameter(2e-3, 'white noise of the specific force', unit='m/s²/√Hz', minimum=0.0)
+    vibration: bool = parameter(
+        True, "noise that the IMU's samples show counts where it is more than gyro_noise and accel_noise"
+    )
     gyro_bias_walk: float = parameter(1e-6, 'random walk of the gyro bias', unit='rad/s/√s', minimum=0.0)
     accel_bias_walk: float = parameter(1e-4, 'random walk of the accel bias', unit='m/s²/√s', minimum=0.0)
     gyro_bias_sigma: float = parameter(3e-3, 'gyro bias at the start, one σ', unit='rad/s', minimum=0.0)

@@ -49,6 +49,7 @@ from ins_gps.layout import (
     VEL,
 )
 from ins_gps.strapdown import NAV, increments, mechanise, navigation_rates
+from ins_gps.vibration import measure_noise, noise_density
 from kalman_core.earth import gravity, radii
 from kalman_core.rotation import matrix_from_quat, quat_from_rotvec, quat_multiply, quat_normalize
 
@@ -66,8 +67,9 @@ from kalman_core.rotation import matrix_from_quat, quat_from_rotvec, quat_multip
     GAP_RATE,  # rad/s
     BIASES,  # 1: the bias states are estimated
     DRIFTS,  # 1: the clock drift is a state
-) = range(12)
-CONFIG_PREDICTION = 12
+    VIBRATION,  # 1: the noise that the IMU's samples show counts
+) = range(13)
+CONFIG_PREDICTION = 13
 
 
 @njit(cache=True, nogil=True)
@@ -158,6 +160,23 @@ def transition(state, Phi):
 
 
 @njit(cache=True, nogil=True)
+def _add_noise(state, P, config, dt):
+    """Add the white noise of rates and specific force over `dt` (s)."""
+    mat = matrix_from_quat(state[NAVIGATION + 6 : NAVIGATION + 10])
+    qg, qa = np.empty((3, 3)), np.empty((3, 3))
+    noise_density(state, 0, config[Q_GYRO], config[VIBRATION], mat, qg)
+    noise_density(state, 3, config[Q_ACCEL], config[VIBRATION], mat, qa)
+    for i in range(3):
+        for j in range(3):
+            a = qa[i, j] * dt
+            P[ATT + i, ATT + j] += qg[i, j] * dt
+            P[VEL + i, VEL + j] += a
+            P[POS + i, POS + j] += a * dt * dt / 3.0
+            P[POS + i, VEL + j] += 0.5 * a * dt
+            P[VEL + i, POS + j] += 0.5 * a * dt
+
+
+@njit(cache=True, nogil=True)
 def advance_covariance(state, channels, config):
     """Bring the covariance up to the nominal state with the force accumulated since the last call."""
     dt = state[SPAN]
@@ -185,13 +204,8 @@ def advance_covariance(state, channels, config):
                 total += rows[i, k] * Phi[j, k]
             P[i, j] = total
             P[j, i] = total
-    qg, qa = config[Q_GYRO] * dt, config[Q_ACCEL] * dt
+    _add_noise(state, P, config, dt)
     for k in range(3):
-        P[ATT + k, ATT + k] += qg
-        P[VEL + k, VEL + k] += qa
-        P[POS + k, POS + k] += qa * dt * dt / 3.0
-        P[POS + k, VEL + k] += 0.5 * qa * dt
-        P[VEL + k, POS + k] += 0.5 * qa * dt
         P[ACC + k, ACC + k] += config[BIASES] * config[Q_ACCEL_BIAS] * dt
         P[GYR + k, GYR + k] += config[BIASES] * config[Q_GYRO_BIAS] * dt
     qd = config[DRIFTS] * config[Q_DRIFT] * dt
@@ -268,6 +282,7 @@ def _integrate(state, channels, config, rate, force, dt):
 @njit(cache=True, nogil=True)
 def imu_step(state, channels, config, rate, force, sec, nsec):
     """Advance to (sec, nsec) with a sample's mean rate and force (3,), biases still in them."""
+    measure_noise(state, rate, force, sec, nsec, config[Q_GYRO], config[Q_ACCEL], config[GAP])
     dt = (sec - state[SEC]) + (nsec - state[NSEC]) * 1e-9
     if not dt > 0.0:
         state[HELD] = -dt

@@ -11,7 +11,7 @@ from ins_gps import layout as at
 from ins_gps.channels import LEVER_X, LEVER_Y, LEVER_Z, antenna
 from ins_gps.loose import EpochFix
 from ins_gps.params import FilterParams
-from ins_gps.prediction import BIASES, GAP, Q_ACCEL, Q_GYRO
+from ins_gps.prediction import BIASES, GAP, Q_ACCEL, Q_GYRO, VIBRATION
 from ins_gps.samples import FixEstimate
 from ins_gps.solution import displaced
 from ins_gps.strapdown import navigation_rates
@@ -40,6 +40,7 @@ def coasting_config(config: np.ndarray) -> np.ndarray:
     out[GAP] = math.inf
     out[BIASES] = 0.0
     out[Q_GYRO] = 0.0
+    out[VIBRATION] = 0.0
     # Without an attitude the state is the antenna's.
     out[[LEVER_X, LEVER_Y, LEVER_Z]] = 0.0
     return out

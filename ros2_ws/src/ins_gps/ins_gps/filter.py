@@ -34,7 +34,7 @@ from ins_gps.samples import (
 )
 from ins_gps.start import (
     PRIOR_VELOCITY,
-    PRIOR_VELOCITY_MEASURED,
+    average_sample,
     coasting_config,
     fix_estimate,
     hold_still,
@@ -55,8 +55,6 @@ _PRIOR_CLOCK = 1_000.0  # m
 _UNKNOWN_RATE = 1.0  # rad/s, of a craft without IMU
 _PRIOR_DRIFT = 1_000.0  # m/s: 3 ppm of an oscillator
 _PRIOR_INTERSYSTEM = 100.0  # m
-# Time constant (s) of the averages for alignment.
-_LEVEL_TIME = 1.0
 # A velocity whose σ (m/s) is larger says nothing of the acceleration since.
 _KNOWN_VELOCITY = 3.0
 _GRAVITY = 9.8  # m/s²
@@ -159,7 +157,7 @@ class NavigationFilter:
         if s[at.IMU_SEC] > 0.0 and sample.stamp <= _stamp(s[at.IMU_SEC], s[at.IMU_NSEC]):
             self.tally.reject('imu/data_raw', 'not newer than the last')
             return None
-        self._average(sample, sec, nsec)
+        average_sample(s, sample, sec, nsec)
         if s[at.IMU_SEC] > 0.0:
             s[at.IMU_STEP] = (sec - s[at.IMU_SEC]) + (nsec - s[at.IMU_NSEC]) * 1e-9
         s[at.IMU_SEC], s[at.IMU_NSEC] = sec, nsec
@@ -173,19 +171,6 @@ class NavigationFilter:
         imu_step(s, self.channels, self.config, sample.rate, sample.force, sec, nsec)
         self._constrain(sample.stamp)
         return self.estimate(sample.stamp)
-
-    def _average(self, sample: ImuSample, sec: int, nsec: int) -> None:
-        s = self.state
-        if s[at.ALIGN_COUNT] == 0.0:
-            weight = 1.0
-        else:
-            dt = (sec - s[at.IMU_SEC]) + (nsec - s[at.IMU_NSEC]) * 1e-9
-            weight = min(1.0, max(dt, 0.0) / _LEVEL_TIME + 1.0 / (1.0 + s[at.ALIGN_COUNT]))
-        s[at.ALIGN_FORCE : at.ALIGN_FORCE + 3] += weight * (
-            sample.force - s[at.ALIGN_FORCE : at.ALIGN_FORCE + 3]
-        )
-        s[at.ALIGN_RATE : at.ALIGN_RATE + 3] += weight * (sample.rate - s[at.ALIGN_RATE : at.ALIGN_RATE + 3])
-        s[at.ALIGN_COUNT] += 1.0
 
     def _constrain(self, stamp: int) -> None:
         p = self.params
@@ -300,20 +285,32 @@ class NavigationFilter:
         fix = epoch_fix(self.state, self.channels, self.config, self.params, rows, 0.0)
         if fix is None:
             return
-        self.state[at.LOST] = 0.0
         if not self.tally.muted:
             self.tally.restart(f'most codes rejected for {self.params.lost_time:g} s: position starts anew')
+        # The epochs to come are measurements still: here one only says where.
+        self._start_anew(stamp, fix.geodetic, np.eye(3) * _PRIOR_POSITION**2, fix)
+
+    def _start_anew(self, stamp: int, geodetic, covariance, fix: EpochFix | None) -> None:
+        """Believe a position (rad, rad, m) with covariance (3, 3) m² NED after all.
+
+        What held on to a false position has hardly the right attitude: it is as doubtful as at a start.
+        """
         if self.params.alignment == 'velocity':
-            # What held on to a false position has hardly the right attitude.
-            self._start_from(stamp, fix.geodetic, np.eye(3) * _PRIOR_POSITION**2, fix)
+            self._start_from(stamp, geodetic, covariance, fix)
             return
-        nav = self.nav.copy()
-        nav[:3] = fix.geodetic
-        attitude = np.sqrt(np.maximum(np.diag(self.covariance)[at.ATT : at.ATT + 3], 1e-4))
-        sigmas = np.r_[[_PRIOR_POSITION] * 3, [PRIOR_VELOCITY_MEASURED] * 3, attitude]
-        if fix.velocity is not None:
-            nav[3:6] = mat_ecef_from_ned(nav[0], nav[1]).T @ fix.velocity.position
-        self.initialise(stamp, nav, sigmas, (fix.position.clock, self.state[at.CLOCK_DRIFT]))
+        velocity, velocity_sigma = start_velocity(geodetic, fix)
+        if fix is None:
+            velocity = self.nav[3:6].copy()
+        p, attitude = self.params, np.sqrt(np.diag(self.covariance)[at.ATT : at.ATT + 3])
+        attitude = np.maximum(attitude, [p.initial_tilt_sigma, p.initial_tilt_sigma, p.initial_yaw_sigma])
+        clock = self.state[at.CLOCK] if fix is None else fix.position.clock
+        self.initialise(
+            stamp,
+            np.r_[geodetic, velocity, self.nav[6:10]],
+            np.r_[[1.0] * 3, [velocity_sigma] * 3, attitude],
+            (clock, self.state[at.CLOCK_DRIFT]),
+        )
+        self.covariance[at.POS : at.POS + 3, at.POS : at.POS + 3] = covariance
         leave_antenna(self.state, self.nav, self.covariance, self.config)
 
     def _loose(self, stamp: int, rows: np.ndarray, since: float) -> None:
@@ -328,25 +325,27 @@ class NavigationFilter:
             self.tally.reject('loose fix', 'no consistent fix')
             return
         covariance = ned_covariance(fix.position, fix.geodetic)
-        self._use_position(stamp, fix.geodetic, covariance, 'loose fix', since)
+        self._use_position(stamp, fix.geodetic, covariance, 'loose fix', since, fix)
         # The paper's loose coupling knows positions only.
         if fix.velocity is not None and self.params.states == 'full':
             mat = mat_ecef_from_ned(fix.geodetic[0], fix.geodetic[1])
             covariance = mat.T @ fix.velocity.covariance[:3, :3] @ mat
             self._use_velocity(stamp, mat.T @ fix.velocity.position, covariance, 'loose velocity')
 
-    def _use_position(self, stamp: int, geodetic, covariance, name: str, since: float) -> None:
+    def _use_position(
+        self, stamp: int, geodetic, covariance, name: str, since: float, fix: EpochFix | None = None
+    ) -> None:
         """Correct with a fix `since` seconds after the last; one refused for long is believed after all."""
-        s, P = self.state, self.covariance
-        nu, H = position_rows(s, self.nav, self._prediction, len(P), geodetic)
-        again = s[at.LOST] > self.params.lost_time
-        if again:
-            # All of it grows until the fix fits: what hangs together with position is doubted alike.
-            P *= max(1.0, float(nu @ np.linalg.solve(H @ P @ H.T + covariance, nu)))
-        used = self._vector(stamp, H, nu, covariance, name, math.inf if again else _GATE_POSITION)
+        s = self.state
+        if s[at.LOST] > self.params.lost_time:
+            self._start_anew(stamp, geodetic, covariance, fix)
+            self.tally.accept(name, stamp)
+            if not self.tally.muted:
+                self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
+            return
+        nu, H = position_rows(s, self.nav, self._prediction, len(self.covariance), geodetic)
+        used = self._vector(stamp, H, nu, covariance, name, _GATE_POSITION)
         s[at.LOST] = 0.0 if used else s[at.LOST] + since
-        if again and not self.tally.muted:
-            self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
 
     def _use_velocity(self, stamp: int, velocity, covariance, name: str) -> None:
         s = self.state

@@ -12,7 +12,7 @@ from ins_gps.channels import LEVER_X, LEVER_Y, LEVER_Z, antenna
 from ins_gps.loose import EpochFix
 from ins_gps.params import FilterParams
 from ins_gps.prediction import BIASES, GAP, Q_ACCEL, Q_GYRO, VIBRATION
-from ins_gps.samples import FixEstimate
+from ins_gps.samples import FixEstimate, ImuSample
 from ins_gps.solution import displaced
 from ins_gps.strapdown import navigation_rates
 from kalman_core.earth import ecef_from_geodetic, gravity, mat_ecef_from_ned
@@ -23,6 +23,7 @@ PRIOR_VELOCITY_MEASURED = 5.0  # m/s, around a solution whose measurements may b
 _COASTING_ACCELERATION = 1.0  # m/s²/√Hz: a person, a car or a gentle craft
 # The course is the yaw only while it is known: σ of the velocity against the speed.
 _COURSE_QUALITY = 0.4
+_LEVEL_TIME = 1.0  # s, time constant of the averages for alignment
 
 
 def start_velocity(geodetic, fix: EpochFix | None) -> tuple[np.ndarray, float]:
@@ -31,6 +32,18 @@ def start_velocity(geodetic, fix: EpochFix | None) -> tuple[np.ndarray, float]:
         return np.zeros(3), PRIOR_VELOCITY
     mat = mat_ecef_from_ned(geodetic[0], geodetic[1])
     return mat.T @ fix.velocity.position, PRIOR_VELOCITY_MEASURED
+
+
+def average_sample(state, sample: ImuSample, sec: int, nsec: int) -> None:
+    """Take a sample into the averages of force and rate, before its stamp becomes the last."""
+    if state[at.ALIGN_COUNT] == 0.0:
+        weight = 1.0
+    else:
+        dt = (sec - state[at.IMU_SEC]) + (nsec - state[at.IMU_NSEC]) * 1e-9
+        weight = min(1.0, max(dt, 0.0) / _LEVEL_TIME + 1.0 / (1.0 + state[at.ALIGN_COUNT]))
+    for start, value in ((at.ALIGN_FORCE, sample.force), (at.ALIGN_RATE, sample.rate)):
+        state[start : start + 3] += weight * (value - state[start : start + 3])
+    state[at.ALIGN_COUNT] += 1.0
 
 
 def coasting_config(config: np.ndarray) -> np.ndarray:

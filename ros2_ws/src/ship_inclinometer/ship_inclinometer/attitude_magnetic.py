@@ -68,7 +68,7 @@ def mag_step(state, c, t, field, gate):
         return MAG_DIP, 0.0
     north = 0.5 * math.pi - c[C_DECLINATION]
     innovation = wrap(north - math.atan2(m[1], m[0]))
-    innovation = wrap(innovation - _deviation(c, 0.5 * math.pi - heading_angle(state) - innovation))
+    innovation = wrap(innovation - _deviation(c, north - heading_angle(state) - innovation))
     white = (c[C_MAG_NOISE] ** 2) / level2
     if state[S_PHASE] == PHASE_ALIGN or state[S_MAG] < 0.0:
         _set_heading(state, cov, c, innovation)

@@ -13,8 +13,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from scipy.optimize import least_squares
 
 # The sphere is cut into this many cells (bands of latitude times sectors); a fit needs this share of them.
@@ -190,12 +192,10 @@ def swing(headings: np.ndarray, deviations: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(design, np.asarray(deviations, dtype=np.float64), rcond=None)[0]
 
 
-def write_yaml(path: Path, node: str, values: Mapping[str, list[float]]) -> None:
+def write_yaml(path: Path, node: str, values: Mapping[str, Any]) -> None:
     """Write parameters of `node` as a ROS parameter file that the estimator loads; whole or not at all."""
-    lines = [f'{node}:\n  ros__parameters:\n']
-    lines += [
-        f'    {name}: [{", ".join(repr(float(v)) for v in numbers)}]\n' for name, numbers in values.items()
-    ]
+    plain = {n: [float(x) for x in v] if isinstance(v, list | tuple) else v for n, v in values.items()}
     partial = path.with_name(f'.{path.name}.part')
-    partial.write_text(''.join(lines), encoding='utf-8')
+    text = yaml.safe_dump({node: {'ros__parameters': plain}}, default_flow_style=None, sort_keys=False)
+    partial.write_text(text, encoding='utf-8')
     partial.replace(path)

@@ -152,7 +152,7 @@ def decode_validity(message: Any) -> Validity:
         validity = int(numbers['validity'])
         sigmas = (numbers['sigma_roll'], numbers['sigma_pitch'], numbers['sigma_heading'])
         return Validity(stamp_of(message), validity, reason, bool(numbers['heading_valid']), sigmas)
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, OverflowError):
         raise BadMessage('not a validity') from None
 
 

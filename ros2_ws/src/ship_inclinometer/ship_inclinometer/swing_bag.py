@@ -30,10 +30,12 @@ _SECTOR, _FEWEST = 15.0, 10
 def swing_of(samples: Iterable[Any], params: AttitudeParams) -> np.ndarray:
     """Return the deviation coefficients A … E [deg] of IMU, magnetometer and GNSS samples in order of time.
 
-    `params` hold the calibration of the sensors. Raises CalibrationError when headings are missing.
+    `params` hold the calibration of the sensors, and the declination: left at zero, A contains it. Raises
+    CalibrationError when headings are missing.
     """
     estimator = AttitudeEstimator(params)
     matrix = np.reshape(params.magnetometer_matrix, (3, 3))
+    declination = math.radians(params.declination)
     attitude: Attitude | None = None
     field: np.ndarray | None = None
     turn = 0.0
@@ -56,7 +58,8 @@ def swing_of(samples: Iterable[Any], params: AttitudeParams) -> np.ndarray:
                 continue
             if abs(turn) < _LARGEST_TURN and math.hypot(east, north) >= _SLOWEST:
                 heading = _magnetic_heading(attitude.q, field)
-                found.append((heading, math.remainder(math.atan2(east, north) - heading, 2.0 * math.pi)))
+                course = math.atan2(east, north) - declination
+                found.append((heading, math.remainder(course - heading, 2.0 * math.pi)))
     return np.degrees(swing(*_sectors(np.reshape(found, (-1, 2)))))
 
 

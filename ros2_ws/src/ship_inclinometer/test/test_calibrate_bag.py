@@ -96,14 +96,17 @@ def test_a_gyro_at_rest_gives_its_bias(tmp_path):
     assert np.max(np.abs(error)) < math.radians(0.02)
 
 
-@pytest.mark.parametrize('seed', [3])
-def test_a_ship_swing_takes_out_the_ships_own_magnetism(tmp_path, seed):
+@pytest.mark.parametrize('declination', [0.0, 40.0])
+def test_a_ship_swing_takes_out_the_ships_own_magnetism(tmp_path, declination):
+    seed = 3
     quiet = {'hard_iron': 25.0, 'soft_iron': 0.01, 'gnss_rate': 5.0, 'engine_frequencies': (0.0, 0.0)}
     quiet |= {'significant_height': 0.5, 'largest_roll': 3.0, 'duration': 60.0, **LIGHT}
+    quiet |= {'declination': declination}
     # One seed and one duration: the same draws, so the same ship on each leg.
     legs = [simulate(scenario('beam', course=45.0 * n, **quiet), seed) for n in range(8)]
     earlier, out = tmp_path / 'sensor.yaml', tmp_path / 'swing.yaml'
-    earlier.write_text('attitude_estimator:\n  ros__parameters:\n    antenna_lever_arm: [10.0, 3.0, 10.0]\n')
+    known = {'antenna_lever_arm': [10.0, 3.0, 10.0], 'declination': declination}
+    earlier.write_text(yaml.safe_dump({'attitude_estimator': {'ros__parameters': known}}))
     done = calibrate(
         write(tmp_path / 'swing', legs, gap=5.0), '--out', out, '--parts', 'swing', '--with', earlier
     )
@@ -117,7 +120,7 @@ def test_a_ship_swing_takes_out_the_ships_own_magnetism(tmp_path, seed):
     for n in range(4):
         leg = simulate(scenario('beam', course=20.0 + 90.0 * n, **quiet), seed)
         recording = replace(leg, gnss_t=np.empty(0), gnss_velocity=np.empty((0, 3)))
-        for errors, used in ((before, AttitudeParams()), (after, params)):
+        for errors, used in ((before, AttitudeParams(declination=declination)), (after, params)):
             angles = attitude_errors(recording, run_recording(recording, used).rows, 50).angles
             errors.append(np.mean(angles[len(angles) // 2 :, 2]))
     assert np.max(np.abs(before)) > 2.0

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import math
 import sys
 from pathlib import Path
 
@@ -90,15 +89,17 @@ def test_the_estimator_loads_what_is_written(tmp_path):
     path = tmp_path / 'calibration.yaml'
     fitted = {
         'magnetometer_matrix': calibration.matrix.ravel().tolist(),
-        'magnetometer_offset': calibration.offset.tolist(),
+        'magnetometer_offset': [5e-05, -3e-05, 0.0],
         'gyro_offset': [0.01, 0.0, -0.02],
+        'declination': 3.0,
     }
     write_yaml(path, 'attitude_estimator', fitted)
     values = yaml.safe_load(path.read_text())['attitude_estimator']['ros__parameters']
     params = build(AttitudeParams, values)
     np.testing.assert_allclose(np.reshape(params.magnetometer_matrix, (3, 3)), calibration.matrix)
     assert params.gyro_offset[2] == -0.02
-    assert math.isclose(params.magnetometer_offset[1], -30e-6, abs_tol=1e-10)
+    assert params.magnetometer_offset == (5e-05, -3e-05, 0.0)
+    assert params.declination == 3.0
 
 
 def test_the_recorded_sphere_is_within_half_a_percent_on_held_out_samples():

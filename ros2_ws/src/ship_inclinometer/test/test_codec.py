@@ -144,7 +144,10 @@ def test_what_is_no_estimate_is_refused_by_name():
     values.header.stamp.sec = 5
     with pytest.raises(BadMessage, match='not a validity'):
         codec.decode_validity(values)
-    values.name = ['validity']
+    values.name, values.position = ['validity'], [math.inf]
+    with pytest.raises(BadMessage, match='not a validity'):
+        codec.decode_validity(values)
+    values.position = []
     with pytest.raises(BadMessage, match='differ in number'):
         codec.decode_numbers(values)
 

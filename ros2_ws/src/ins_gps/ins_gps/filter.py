@@ -18,7 +18,7 @@ from ins_gps.configuration import config_array
 from ins_gps.constraints import non_holonomic_update, zero_velocity_update
 from ins_gps.fates import count_rows
 from ins_gps.gnss_update import gnss_epoch
-from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, vector_update
+from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, repeated_error, vector_update
 from ins_gps.params import FilterParams
 from ins_gps.plausibility import imu_fault, navigation_fault, plausible_rows, valid_satellites
 from ins_gps.prediction import advance_covariance, covariance_of, hold_to, imu_step
@@ -344,7 +344,8 @@ class NavigationFilter:
                 self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
             return
         nu, H = position_rows(s, self.nav, self._prediction, len(self.covariance), geodetic)
-        used = self._vector(stamp, H, nu, covariance, name, _GATE_POSITION)
+        repeated = repeated_error(fix.lasting, since, self.params.multipath_time) if fix is not None else 1.0
+        used = self._vector(stamp, H, nu, covariance, name, _GATE_POSITION, repeated)
         s[at.LOST] = 0.0 if used else s[at.LOST] + since
 
     def _use_velocity(self, stamp: int, velocity, covariance, name: str) -> None:
@@ -356,8 +357,8 @@ class NavigationFilter:
         H[:, at.VEL : at.VEL + 3] = np.eye(3)
         self._vector(stamp, H, velocity - now, covariance, name, _GATE_POSITION)
 
-    def _vector(self, stamp: int, H, nu, covariance, name: str, gate: float) -> bool:
-        nis, used = vector_update(self.state, self.channels, H, nu, covariance, gate)
+    def _vector(self, stamp: int, H, nu, covariance, name: str, gate: float, repeated: float = 1.0) -> bool:
+        nis, used = vector_update(self.state, self.channels, H, nu, covariance, gate, repeated)
         if used:
             self.tally.accept(name, stamp, nis, _GATE_POSITION)
         else:

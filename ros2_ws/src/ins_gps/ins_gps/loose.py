@@ -22,13 +22,20 @@ from ins_gps.orbit import azimuth_elevation, range_and_rate
 from ins_gps.prediction import covariance_of, inject
 from kalman_core.earth import geodetic_from_ecef, mat_ecef_from_ned
 
+# s: errors of orbit, clock and atmosphere keep for minutes to hours.
+_SLOW_TIME = 600.0
+
 
 class EpochFix(NamedTuple):
-    """Position fix, geodetic position (rad, rad, m), velocity fix (or None) and σ of the codes."""
+    """Position fix, geodetic position (rad, rad, m), velocity fix (or None).
+
+    lasting: shares of the codes' variance that last over epochs, of multipath and of slow errors.
+    """
 
     position: Fix
     geodetic: np.ndarray
     velocity: Fix | None
+    lasting: tuple[float, float]
 
 
 def code_sigma(params, corrected: bool) -> float:
@@ -79,7 +86,25 @@ def epoch_fix(state, channels: int, config, params, rows, since: float, start=No
     rates = np.array([_rate(state, channels, row, since) for row in rows])
     rates[~above] = np.nan
     velocity = solve_velocity(satellites, rates, params.doppler_noise * factor, system, fix.position)
-    return EpochFix(fix, geodetic, velocity if velocity.status == OK else None)
+    multipath, white = (
+        float(np.mean((sigma / base[fix.used]) ** 2)) for sigma in (params.code_multipath, params.code_noise)
+    )
+    lasting = (multipath, max(1.0 - multipath - white, 0.0))
+    return EpochFix(fix, geodetic, velocity if velocity.status == OK else None, lasting)
+
+
+def repeated_error(lasting: tuple[float, float], since: float, multipath_time: float) -> float:
+    """Return the factor on the covariance of a fix `since` s after the last, 1 for a first one (0).
+
+    A first-order error of correlation time T (s) that is treated as white has to count with its density at
+    low frequency, σ² (1 + f)/(1 − f) with f = exp(−since/T): else averaging over epochs makes the filter
+    sure of what they have in common.
+    """
+    factor = 1.0
+    if since > 0.0:
+        for share, time in zip(lasting, (multipath_time, _SLOW_TIME), strict=True):
+            factor += share * (1.0 / math.tanh(0.5 * since / time) - 1.0)
+    return factor
 
 
 def _rate(state, channels: int, row, since: float) -> float:
@@ -117,12 +142,13 @@ def _weaken(S, nu, covariance, gate):
 
 
 @njit(cache=True, nogil=True)
-def vector_update(state, channels, H, nu, covariance, gate):
+def vector_update(state, channels, H, nu, covariance, gate, repeated):
     """Correct with a vector of at most a few correlated measurements; return (NIS, whether within the gate).
 
     H: (m, n), nu: (m,), covariance: (m, m). Judged as a whole: `gate` limits the NIS with m degrees of
     freedom. What lies beyond it gets the weight that puts it on the gate: systematic errors (a delay, a
-    lever arm) of a precise fix would otherwise shut it out for good.
+    lever arm) of a precise fix would otherwise shut it out for good. `repeated` is the factor of
+    `repeated_error`: it weakens the correction, not the judgement.
     """
     P = covariance_of(state, channels)
     n = P.shape[0]
@@ -134,6 +160,7 @@ def vector_update(state, channels, H, nu, covariance, gate):
     within = nis <= gate
     if not within:
         covariance = _weaken(S, nu, covariance, gate)
+    covariance = repeated * covariance
     L = np.linalg.cholesky(covariance)
     white_H = np.linalg.solve(L, H)
     white_nu = np.linalg.solve(L, nu)

@@ -294,6 +294,18 @@ def test_it_starts_by_the_course_with_the_antenna_beside_the_imu(mode, lever, mo
     assert navigation.tally.sensor('gnss/carrier').rejected.total() == 0
 
 
+@pytest.mark.parametrize('budget', [DGPS, STANDALONE])
+def test_fixes_whose_errors_last_are_not_averaged_away(budget):
+    nees = []
+    for seed in range(8):
+        lasting = replace(budget, white=False)
+        run = simulate(replace(SHORT, duration=300.0, imu_rate=20.0, budget=lasting), seed)
+        result = evaluate(run, filter_params(lasting, mode='loose'), seed)
+        nees.append(result.nees(slice(0, 3))[result.after(60.0)].mean())
+    # 3 expected; taken as white they were 32 and 270.
+    assert 1.5 < np.mean(nees) < 6.0
+
+
 @pytest.mark.parametrize('alignment', ['given', 'velocity'])
 @pytest.mark.parametrize('mode', ['tight_tdcp', 'loose'])
 def test_a_false_position_recovers_and_says_so(mode, alignment):

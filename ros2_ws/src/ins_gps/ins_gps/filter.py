@@ -344,8 +344,9 @@ class NavigationFilter:
                 self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
             return
         nu, H = position_rows(s, self.nav, self._prediction, len(self.covariance), geodetic)
-        repeated = repeated_error(fix.lasting, since, self.params.multipath_time) if fix is not None else 1.0
-        used = self._vector(stamp, H, nu, covariance, name, _GATE_POSITION, repeated)
+        time = self.params.fix_time
+        lasting = fix.lasting if fix is not None else ((1.0, time),) if time > 0.0 else ()
+        used = self._vector(stamp, H, nu, covariance, name, _GATE_POSITION, repeated_error(since, lasting))
         s[at.LOST] = 0.0 if used else s[at.LOST] + since
 
     def _use_velocity(self, stamp: int, velocity, covariance, name: str) -> None:

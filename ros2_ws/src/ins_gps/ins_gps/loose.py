@@ -24,18 +24,19 @@ from kalman_core.earth import geodetic_from_ecef, mat_ecef_from_ned
 
 # s: errors of orbit, clock and atmosphere keep for minutes to hours.
 _SLOW_TIME = 600.0
+Lasting = tuple[tuple[float, float], ...]
 
 
 class EpochFix(NamedTuple):
     """Position fix, geodetic position (rad, rad, m), velocity fix (or None).
 
-    lasting: shares of the codes' variance that last over epochs, of multipath and of slow errors.
+    lasting: as in `repeated_error`, of multipath and of slow errors.
     """
 
     position: Fix
     geodetic: np.ndarray
     velocity: Fix | None
-    lasting: tuple[float, float]
+    lasting: Lasting
 
 
 def code_sigma(params, corrected: bool) -> float:
@@ -89,22 +90,20 @@ def epoch_fix(state, channels: int, config, params, rows, since: float, start=No
     multipath, white = (
         float(np.mean((sigma / base[fix.used]) ** 2)) for sigma in (params.code_multipath, params.code_noise)
     )
-    lasting = (multipath, max(1.0 - multipath - white, 0.0))
+    lasting = ((multipath, params.multipath_time), (max(1.0 - multipath - white, 0.0), _SLOW_TIME))
     return EpochFix(fix, geodetic, velocity if velocity.status == OK else None, lasting)
 
 
-def repeated_error(lasting: tuple[float, float], since: float, multipath_time: float) -> float:
+def repeated_error(since: float, lasting: Lasting) -> float:
     """Return the factor on the covariance of a fix `since` s after the last, 1 for a first one (0).
 
-    A first-order error of correlation time T (s) that is treated as white has to count with its density at
-    low frequency, σ² (1 + f)/(1 − f) with f = exp(−since/T): else averaging over epochs makes the filter
-    sure of what they have in common.
+    lasting: share of the variance and correlation time T (s) of each first-order error. Such an error that is
+    treated as white has to count with its density at low frequency, σ² (1 + f)/(1 − f) with
+    f = exp(−since/T): else averaging over epochs makes the filter sure of what they have in common.
     """
-    factor = 1.0
-    if since > 0.0:
-        for share, time in zip(lasting, (multipath_time, _SLOW_TIME), strict=True):
-            factor += share * (1.0 / math.tanh(0.5 * since / time) - 1.0)
-    return factor
+    if not since > 0.0:
+        return 1.0
+    return 1.0 + sum(share * (1.0 / math.tanh(0.5 * since / time) - 1.0) for share, time in lasting)
 
 
 def _rate(state, channels: int, row, since: float) -> float:

@@ -94,6 +94,26 @@ def test_its_error_is_what_its_covariance_says():
     assert low < np.mean(nees) < high
 
 
+def test_errors_of_fixes_that_last_are_not_averaged_away():
+    time, nees = 60.0, []
+    decay = math.exp(-1.0 / time)
+    for seed in range(8):
+        run = simulate(replace(SCENARIO, duration=300.0), 200 + seed)
+        errors_of_fixes = [np.zeros(3)]
+
+        def lasting(second, ned, kept=errors_of_fixes):
+            kept[0] = ned if second == 0 else decay * kept[0] + math.sqrt(1.0 - decay**2) * ned
+            return kept[0]
+
+        _, estimates, _ = feed(run, fixes(run, seed, lasting), replace(PARAMS, fix_time=time))
+        settled = [e for e in estimates[::50] if (e.stamp - run.stamps[0]) * 1e-9 > 60.0]
+        error = errors(run, settled, 0.0)[0][:, :3]
+        P = np.array([e.covariance[:3, :3] for e in settled])
+        nees.append(np.mean(np.einsum('ki,ki->k', error, np.linalg.solve(P, error[..., None])[..., 0])))
+    # 3 expected; taken as white they were 80.
+    assert 1.5 < np.mean(nees) < 6.0, np.mean(nees)
+
+
 def test_a_wild_fix_is_refused_and_a_lasting_one_taken_after_the_lost_time():
     def wild(second, ned):
         return ned + (np.array([300.0, 0.0, 0.0]) if second == 60 or second >= 80 else 0.0)

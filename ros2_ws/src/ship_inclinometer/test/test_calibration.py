@@ -65,6 +65,23 @@ def test_too_few_or_equal_vectors_are_refused():
         fit_ellipsoid(np.ones((20, 3)))
     with pytest.raises(CalibrationError, match='equal'):
         fit_ellipsoid(np.ones((200, 3)))
+    with pytest.raises(CalibrationError, match='shape'):
+        fit_ellipsoid(np.ones((200, 2)))
+    with pytest.raises(CalibrationError, match='expected at least 100'):
+        gyro_bias(np.zeros((99, 3)))
+    with pytest.raises(CalibrationError, match='expected at least 8'):
+        swing(np.radians([0.0, 120.0, 240.0]), np.zeros(3))
+
+
+def test_a_field_that_was_not_constant_and_what_is_no_ellipsoid_are_refused():
+    directions, _ = sphere()
+    strength = np.random.default_rng(1).uniform(0.6, 1.4, len(directions))
+    with pytest.raises(CalibrationError, match='the field was not constant'):
+        fit_ellipsoid(48e-6 * strength[:, None] * directions)
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 20), np.linspace(-1.0, 1.0, 20))
+    saddle = np.column_stack([x.ravel(), y.ravel(), np.sqrt(1.0 + (x**2 + y**2).ravel())])
+    with pytest.raises(CalibrationError, match='no ellipsoid'):
+        fit_ellipsoid(saddle)
 
 
 def test_a_gyro_in_motion_is_refused():

@@ -370,3 +370,82 @@ def test_what_is_no_measurement_is_refused_by_name_and_changes_nothing(feed_one,
     assert feed_one(estimator, stamp) == []
     assert estimator.tally.sensor(sensor).rejected == {reason: 1}
     np.testing.assert_array_equal(estimator.state, before)
+
+
+def at_rest(seconds, schedule='full'):
+    """Return an estimator after `seconds` at rest, and its outputs."""
+    estimator = AttitudeEstimator(AttitudeParams(schedule=schedule, align_time=2.0))
+    return estimator, feed(estimator, still(seconds))
+
+
+def still(seconds, start=START):
+    """Return the events of a craft at rest: IMU and field at 50 Hz."""
+    events = []
+    for i in range(round(seconds * 50)):
+        stamp = start + i * 20_000_000
+        events.append((stamp, 0, ImuSample(stamp, (0.001, -0.002, 0.003), (0.3, -0.2, 9.8))))
+        events.append((stamp, 1, MagSample(stamp, (2e-5, 1e-6, -4e-5))))
+    return events
+
+
+@pytest.mark.parametrize('schedule', ['full', 'published'])
+def test_a_reset_forgets_everything(schedule):
+    estimator, first = at_rest(6.0, schedule=schedule)
+    estimator.reset()
+    again = feed(estimator, still(6.0))
+    before, after = ([e for e in out if isinstance(e, Attitude)] for out in (first, again))
+    assert len(before) > 100
+    assert [(e.stamp, *e.q, e.validity) for e in after] == [(e.stamp, *e.q, e.validity) for e in before]
+
+
+def test_a_calibration_is_applied_to_the_raw_samples():
+    rng = np.random.default_rng(5)
+    matrix = {n: np.eye(3) + 0.05 * rng.standard_normal((3, 3)) for n in ('force', 'field')}
+    offset = {'gyro': 0.01 * rng.standard_normal(3), 'force': rng.standard_normal(3)}
+    offset['field'] = 1e-5 * rng.standard_normal(3)
+
+    def raw(name, values):
+        return tuple(np.linalg.solve(matrix.get(name, np.eye(3)), values) + offset[name])
+
+    events = [
+        (t, 0, s._replace(gyro=raw('gyro', s.gyro), force=raw('force', s.force)))
+        if port == 0
+        else (t, 1, s._replace(field=raw('field', s.field)))
+        for t, port, s in still(6.0)
+    ]
+    calibrated = AttitudeEstimator(
+        AttitudeParams(
+            align_time=2.0,
+            gyro_offset=tuple(offset['gyro']),
+            accelerometer_offset=tuple(offset['force']),
+            accelerometer_matrix=tuple(matrix['force'].ravel()),
+            magnetometer_offset=tuple(offset['field']),
+            magnetometer_matrix=tuple(matrix['field'].ravel()),
+        )
+    )
+    found = [e.q for e in feed(calibrated, events) if isinstance(e, Attitude)]
+    expected = [e.q for e in at_rest(6.0)[1] if isinstance(e, Attitude)]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_a_speed_log_that_is_refused_for_long_is_believed_by_and_by():
+    estimator, _ = at_rest(6.0)
+    log = estimator.tally.sensor('log/speed')
+    refused, last = 0, START
+    for second in range(6, 24):
+        last = START + second * 10**9
+        feed(estimator, still(1.0, last))
+        estimator.on_log(SpeedSample(last + 900_000_000, 0.0 if second < 8 else 12.0))
+        refused += second == 8 and log.rejected['innovation']
+    assert refused == 1
+    assert 10 <= log.rejected['innovation'] <= 15
+    assert log.last_stamp > last
+
+
+def test_what_comes_before_the_first_imu_sample_is_refused():
+    estimator = AttitudeEstimator()
+    estimator.on_mag(MagSample(START, (2e-5, 0.0, -4e-5)))
+    estimator.on_log(SpeedSample(START, 3.0))
+    assert not estimator.state.any()
+    assert estimator.tally.sensor('imu/mag').rejected.total() == 1
+    assert estimator.tally.sensor('log/speed').rejected.total() == 1

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from bag_tools.bag import BagError
 from bag_tools.catalogue import Entry
+from bag_tools.headline import suffix
 from bag_tools.offline import OfflineResult
 from bag_tools.score import Comparison, Subject, read_window, score
 from node_core.testing import probe
@@ -118,7 +119,7 @@ def table(results: list[Result]) -> str:
             printed = r.job.replay.printed.get(name)
             first = (r.job.system, r.job.bag.stem, r.entry.label) if i == 0 else ('', '', '')
             last = (nees, equal) if i == 0 else ('', '')
-            unit = c.unit if c.unit == '°' else f' {c.unit}'
+            unit = suffix(c.unit)
             shown = '–' if printed is None else f'{printed:g}{unit}'
             rows.append((*first, name, f'{c.rmse:.3g}{unit}', f'{c.max:.3g}{unit}', shown, *last))
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]

@@ -37,10 +37,15 @@ class Headline:
     date: str
 
 
+def suffix(unit: str) -> str:
+    """Return `unit` as it stands behind a number: a degree sign without a space."""
+    return unit if not unit or unit.startswith('°') else f' {unit}'
+
+
 def _amount(value: float | None, unit: str) -> str:
     if value is None:
         return 'no result'
-    return f'{value:.4g}' + (f' {unit}' if unit else '')
+    return f'{value:.4g}{suffix(unit)}'
 
 
 def _paper(wish: Mapping[str, Any], row: Mapping[str, Any], stored: Mapping[tuple, Mapping]) -> str:

@@ -31,7 +31,7 @@ from typing import Any
 import yaml
 
 from bag_tools.bench import RESULTS, BenchError, load_records, project_root
-from bag_tools.headline import HeadlineError, headlines
+from bag_tools.headline import HeadlineError, headlines, suffix
 from bag_tools.licences import LicenceError, licence_table
 from bag_tools.recordings import RecordingsError, recordings_table
 from kalman_core.parameters import default_yaml, markdown_table
@@ -78,7 +78,7 @@ def bench_table(records: list[dict[str, Any]], package: str) -> str:
     for entry in records:
         if entry['package'] != package:
             continue
-        unit = f' {entry["unit"]}' if entry['unit'] else ''
+        unit = suffix(entry['unit'])
         sign = '≤' if entry['better'] == 'lower' else '≥'
         bar = '–' if entry['bar'] is None else f'{sign} {entry["bar"]:g}{unit}'
         met = '–' if entry['bar'] is None and entry['pass'] else ('yes' if entry['pass'] else '**no**')

@@ -4,7 +4,15 @@
 import re
 
 import pytest
-from workspace_harness.graph import Graph, TopicEdge, Watch, replay_rates, seen_by, without_lockstep
+from workspace_harness.graph import (
+    NAMELESS,
+    Graph,
+    TopicEdge,
+    Watch,
+    replay_rates,
+    seen_by,
+    without_lockstep,
+)
 from workspace_harness.graph_svg import draw
 from workspace_harness.system import SYSTEMS
 
@@ -99,3 +107,19 @@ def test_what_is_drawn_is_what_runs():
         rated = watch.graph.with_rates({'/imu/data_raw': 100.0})
         assert next(t.rate for t in rated.topics if t.name == '/imu/data_raw') == 100.0
         assert seen_by(p).nodes
+
+
+def test_a_graph_is_whole_though_nodes_are_named_late_and_leave_early(monkeypatch):
+    def edge(publishers, subscribers):
+        return TopicEdge('/imu/data', IMU, publishers, subscribers)
+
+    looks = [
+        Graph(('player',), (edge(('player',), ()),)),
+        Graph(('player',), (edge(('player',), (NAMELESS,)),)),
+        Graph(('filter',), (edge((), ('filter',)),)),
+    ]
+    monkeypatch.setattr('workspace_harness.graph.seen_by', lambda _: looks.pop(0))
+    with probe() as p:
+        watch = Watch(p)
+        assert [watch() for _ in range(3)] == [True, False, True]
+    assert watch.graph == Graph(('filter', 'player'), (edge(('player',), ('filter',)),))

@@ -13,6 +13,9 @@ from node_core.testing import Probe
 # What every node has; drawn, it would hide what the graph does.
 _COMMON = ('/diagnostics', '/rosout', '/parameter_events', '/lockstep/progress', '/lockstep/links', '/clock')
 
+NAMELESS = '_NODE_NAME_UNKNOWN_'  # of rmw
+_LOOK = 0.05  # s
+
 
 @dataclass(frozen=True, slots=True)
 class TopicEdge:
@@ -38,7 +41,10 @@ class Graph:
 
 
 def seen_by(probe: Probe) -> Graph:
-    """Return what `probe` has discovered, itself, hidden nodes and common topics left out."""
+    """Return what `probe` has discovered, itself, hidden nodes and common topics left out.
+
+    A topic's ends come before the names of their nodes: until then they are called NAMELESS.
+    """
     node = probe.node
     own = node.get_name()
     names = [n for n, _ in node.get_node_names_and_namespaces() if n != own and not n.startswith('_')]
@@ -48,32 +54,40 @@ def seen_by(probe: Probe) -> Graph:
             continue
         publishers = {i.node_name for i in node.get_publishers_info_by_topic(topic)} - {own}
         subscribers = {i.node_name for i in node.get_subscriptions_info_by_topic(topic)} - {own}
-        if publishers:
-            topics.append(TopicEdge(topic, types[0], tuple(sorted(publishers)), tuple(sorted(subscribers))))
+        topics.append(TopicEdge(topic, types[0], tuple(sorted(publishers)), tuple(sorted(subscribers))))
     return Graph(tuple(sorted(set(names))), tuple(sorted(topics, key=lambda t: t.name)))
 
 
 @dataclass
 class Watch:
-    """Looks at a running graph whenever it is called; `graph` is the fullest that was seen.
-
-    The graph is taken as a whole: while nodes come and go it has fewer connections than while it works.
-    """
+    """Looks at a running graph whenever it is called, and keeps all that it sees, those gone included."""
 
     probe: Probe
-    graph: Graph = field(default_factory=lambda: Graph((), ()))
+    seen: Graph = field(default_factory=lambda: Graph((), ()))
 
-    def __call__(self) -> None:
-        """Look once."""
-        self.probe.spin()
+    @property
+    def graph(self) -> Graph:
+        """What was seen, without topics that nobody published."""
+        return replace(self.seen, topics=tuple(t for t in self.seen.topics if t.publishers))
+
+    def __call__(self) -> bool:
+        """Look once, for some time; return whether all ends of topics had names."""
+        self.probe.spin(_LOOK)
         now = seen_by(self.probe)
-        if _size(now) >= _size(self.graph):
-            self.graph = now
+        self.seen = _merged(self.seen, now)
+        return not any(NAMELESS in (*t.publishers, *t.subscribers) for t in now.topics)
 
 
-def _size(graph: Graph) -> tuple[int, int]:
-    ends = sum(len(t.publishers) + len(t.subscribers) for t in graph.topics)
-    return len(graph.nodes), ends
+def _merged(graph: Graph, other: Graph) -> Graph:
+    topics = {t.name: t for t in graph.topics}
+    for new in other.topics:
+        old = topics.get(new.name, new)
+        publishers = {*old.publishers, *new.publishers} - {NAMELESS}
+        subscribers = {*old.subscribers, *new.subscribers} - {NAMELESS}
+        topics[new.name] = replace(
+            new, publishers=tuple(sorted(publishers)), subscribers=tuple(sorted(subscribers))
+        )
+    return Graph(tuple(sorted({*graph.nodes, *other.nodes})), tuple(topics[name] for name in sorted(topics)))
 
 
 def replay_rates(played: Path, recorded: Path) -> dict[str, float]:

@@ -24,6 +24,7 @@ from node_core.testing import Process
 # The first start of a node after a change compiles its kernels, which takes a minute on a busy machine.
 _START_TIMEOUT = ('--wait-timeout', '300')
 _POLL = 0.5  # s
+_NAMES_TIMEOUT = 10.0  # s
 
 
 class ReplayError(RuntimeError):
@@ -65,14 +66,14 @@ def live(
     lockstep: bool = True,
     progress: bool = False,
     composed: bool = False,
-    watch: Callable[[], None] | None = None,
+    watch: Callable[[], bool] | None = None,
     timeout: float = 1800.0,
 ) -> None:
     """Play `bag` through `estimators` as processes and record all their outputs into `out`.
 
     `rate` None is as fast as possible. With `composed` all estimators share one process. `watch` is called
-    now and then while the graph runs. Raises ReplayError when a process ends with another code than 0; all
-    processes are gone afterwards in any case.
+    now and then while the graph runs, and at the end until it has seen all. Raises ReplayError when a process
+    ends with another code than 0; all processes are gone afterwards in any case.
     """
     topics = [f'/{topic}' for e in estimators for topic in e.outputs.values()]
     pace = ['--fast'] if rate is None else ['--rate', str(rate)]
@@ -107,6 +108,7 @@ def live(
         if code != 0:
             said = '\n'.join(p.output for p in (player, recorder, *nodes))
             raise ReplayError(f'{bag.name}: the player ended with {code}:\n{said}')
+        _look_around(watch)
         # The recorder first: it drains what is in flight while the estimators are still there.
         for process in (recorder, *nodes):
             if process.stop() != 0:
@@ -131,7 +133,7 @@ def _composed(estimators: list[Estimator], lockstep: bool) -> Process:
 
 
 def _wait_for_player(
-    player: Process, others: list[Process], timeout: float, watch: Callable[[], None] | None
+    player: Process, others: list[Process], timeout: float, watch: Callable[[], bool] | None
 ) -> int:
     """Return the player's exit code; raise ReplayError as soon as another process is gone before it."""
     deadline = time.monotonic() + timeout
@@ -146,6 +148,13 @@ def _wait_for_player(
                 raise ReplayError(f'{" ".join(process.argv)} ended by itself:\n{process.output}')
         if time.monotonic() > deadline:
             raise ReplayError(f'the player is not done within {timeout:g} s:\n{player.output}')
+
+
+def _look_around(watch: Callable[[], bool] | None) -> None:
+    """Call `watch` until it has seen all: a short replay may be over before its nodes are known by name."""
+    deadline = time.monotonic() + _NAMES_TIMEOUT
+    while watch is not None and not watch() and time.monotonic() < deadline:
+        pass
 
 
 def offline_all(bag: Path, estimators: list[Estimator], folder: Path) -> dict[str, OfflineResult]:

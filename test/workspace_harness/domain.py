@@ -3,27 +3,26 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import tempfile
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 # Domains above 101 collide with the ephemeral ports of Linux; 0 is where users work.
 _DOMAINS = range(1, 102)
+# The mark of a domain in use is that of colcon-ros-domain-id-coordinator, so that `./ws run` and a
+# `colcon test` beside it keep out of each other's way: TCP port 32768 + domain, bound but not listening.
+_FIRST_PORT = 32768
 
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Set ROS_DOMAIN_ID to a domain held by a lock file for as long as the block runs."""
-    folder = Path(tempfile.gettempdir()) / f'ros_domains_{os.getuid()}'
-    folder.mkdir(exist_ok=True)
+    """Set ROS_DOMAIN_ID to a domain that is held for as long as the block runs."""
     for number in _DOMAINS:
-        with (folder / str(number)).open('w') as lock:
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as mark:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                mark.bind(('', _FIRST_PORT + number))
+            except OSError:
                 continue
             before = os.environ.get('ROS_DOMAIN_ID')
             os.environ['ROS_DOMAIN_ID'] = str(number)

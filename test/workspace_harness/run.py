@@ -97,7 +97,7 @@ def replay(job: Job, folder: Path, clock: Clock) -> tuple[list[Result], Graph]:
         truth = Subject(job.bag, job.replay.truth, job.replay.truth_field)
         where = Subject(job.bag, job.replay.where) if job.replay.where else None
         window = read_window(job.replay.after, float('inf'), where)
-        comparison = score(estimate, truth, window)[0]
+        comparison = score(estimate, truth, window, constants=job.replay.solve)[0]
         results.append(Result(job, entry, comparison, offline[name], found[name], seconds))
     return results, graph
 
@@ -107,21 +107,17 @@ def table(results: list[Result]) -> str:
     head = ('system', 'bag', 'estimator', 'error', 'RMSE', 'max', 'printed', 'NEES/dof', 'graph = offline')
     rows = [head]
     for r in results:
-        nees = (
-            '–'
-            if r.comparison.score.nees is None
-            else f'{r.comparison.score.nees / r.comparison.score.dof:.2f}'
-        )
         part = f' (first {r.job.live_seconds:g} s)' if r.job.live_seconds else ''
         equal = 'NO' if r.differences else f'to the last bit{part}'
         for i, name in enumerate(r.job.replay.components):
             c = r.comparison.score.component(name)
             printed = r.job.replay.printed.get(name)
             first = (r.job.system, r.job.bag.stem, r.entry.label) if i == 0 else ('', '', '')
-            last = (nees, equal) if i == 0 else ('', '')
+            nees = '–' if c.nees is None else f'{c.nees:.2f}'
             unit = suffix(c.unit)
             shown = '–' if printed is None else f'{printed:g}{unit}'
-            rows.append((*first, name, f'{c.rmse:.3g}{unit}', f'{c.max:.3g}{unit}', shown, *last))
+            row = (*first, name, f'{c.rmse:.3g}{unit}', f'{c.max:.3g}{unit}', shown, nees)
+            rows.append((*row, equal if i == 0 else ''))
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     lines = ['  '.join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip() for row in rows]
     lines.insert(1, '-' * max(len(line) for line in lines))

@@ -31,7 +31,7 @@ class Replay:
     `bag` is a fixture's name in bags/. The outputs are scored against `truth` (a topic of the bag, or
     `truth_field` in it) from `after` (s) on and while the Bool topic `where` is true; `components` of the
     score stand in the table. `printed` holds the paper's own figures by component, in the score's unit,
-    where it has them.
+    where it has them. `solve` names what the truth's device need not agree on (`bag_tools.align`).
     """
 
     bag: str
@@ -43,6 +43,7 @@ class Replay:
     where: str | None = None
     after: float = 0.0
     printed: Mapping[str, float] = field(default_factory=dict)
+    solve: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from bag_tools.series import Array, Series, without_repeats
 
 # A truth that pauses for longer than so many of its median steps is not interpolated across the pause.
 _GAP_STEPS = 3.5
-_DELAY_SPAN = 2.0  # s, the largest delay looked for
+DELAY_SPAN = 2.0  # s, the largest delay looked for
 # Below this share of the larger standard deviation a component carries no motion to correlate.
 _STILL = 1e-6
 
@@ -120,18 +120,20 @@ def nees(errors: Array, covariances: Array) -> Array:
     return result
 
 
+def rotation_matrices(q: Array) -> Array:
+    """Return the (n, 3, 3) rotation matrices of (n, 4) wxyz quaternions."""
+    w, x, y, z = q.T
+    rows = (
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+    )  # fmt: skip
+    return np.column_stack(rows).reshape(-1, 3, 3)
+
+
 def _signal(values: Array, kind: str) -> Array:
     """Return what moves: the elements of the rotation matrix for quaternions, else the values themselves."""
-    if kind != 'orientation':
-        return values
-    w, x, y, z = values.T
-    return np.column_stack(
-        (
-            1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
-            2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
-            2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
-        )
-    )  # fmt: skip
+    return rotation_matrices(values).reshape(-1, 9) if kind == 'orientation' else values
 
 
 def _correlations(a: Array, b: Array, span: int) -> Array:
@@ -162,7 +164,7 @@ def delay(estimate: Array, truth: Array, step: float, kind: str = 'vector') -> f
     """
     a, b = _signal(estimate, kind), _signal(truth, kind)
     n = len(a)
-    span = min(int(_DELAY_SPAN / step), n // 3)
+    span = min(int(DELAY_SPAN / step), n // 3)
     spread = np.sqrt(np.sum(np.var(b, axis=0)))
     if span < 1 or not spread > _STILL * max(1.0, float(np.max(np.abs(b)))):
         return None

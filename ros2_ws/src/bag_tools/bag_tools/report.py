@@ -7,18 +7,19 @@ import argparse
 import html
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from bag_tools.align import CONSTANTS
 from bag_tools.bag import SUFFIXES, BagError, BagReader, resolve
 from bag_tools.cli import guarded
 from bag_tools.figures import SERIES, Line, Panel, png
 from bag_tools.offline import OfflineResult
 from bag_tools.report_page import chip, document, grid, number, slug, table
-from bag_tools.score import Comparison, Subject, Window, read_window, score
+from bag_tools.score import SOLVE_HELP, Comparison, Subject, Window, read_window, score
 from bag_tools.series import NANOSECONDS, Array
 
 DIAGNOSTICS = '/diagnostics'
@@ -107,13 +108,12 @@ def _colors(runs: Sequence[RunResult]) -> dict[str, str]:
 
 
 def _errors_table(run: RunResult, colors: Mapping[str, str]) -> str:
-    head = ('estimator', 'quantity', 'RMSE', 'max', '95 %', 'unit', 'NEES (expected)', 'delay')
+    head = ('estimator', 'quantity', 'RMSE', 'max', '95 %', 'unit', 'NEES/dof', 'delay')
     rows = []
     for name, comparisons in run.comparisons.items():
         for c in comparisons:
             for index, s in enumerate(c.score.components):
                 first = index == 0
-                nees = f'{number(c.score.nees)} ({c.score.dof})' if c.score.nees is not None and first else ''
                 lag = f'{1e3 * c.score.delay:.1f} ms' if c.score.delay is not None and first else ''
                 rows.append(
                     (
@@ -123,7 +123,7 @@ def _errors_table(run: RunResult, colors: Mapping[str, str]) -> str:
                         number(s.max),
                         number(s.percentiles['95']),
                         html.escape(s.unit),
-                        nees,
+                        '' if s.nees is None else number(s.nees),
                         lag,
                     )
                 )
@@ -235,6 +235,12 @@ def _details(run: RunResult, colors: Mapping[str, str], pngs: Path | None) -> st
     """Return everything about one run: errors, plots, NIS and timing."""
     parts = [f'<p>{html.escape(run.text)}</p>'] if run.text else []
     parts.append(_errors_table(run, colors))
+    parts += [
+        f'<p class="note">{html.escape(f"{name}: taken out before, {c.score.solved}")}</p>'
+        for name, comparisons in run.comparisons.items()
+        for c in comparisons
+        if c.score.solved is not None
+    ]
     for role, panels in panels_of(run, colors).items():
         parts.append(f'<h3>{html.escape(role.replace("_", " ").capitalize())}</h3>{grid(panels, run.name)}')
         if pngs is not None:
@@ -330,10 +336,17 @@ def write_chapters(
 
 
 def run_of_bag(
-    bag: str | Path, estimates: Sequence[str], truth: Subject, window: Window | None = None, name: str = ''
+    bag: str | Path,
+    estimates: Sequence[str],
+    truth: Subject,
+    window: Window | None = None,
+    name: str = '',
+    constants: Collection[str] = (),
 ) -> RunResult:
     """Return a run from a recorded bag: its estimate topics against `truth`, NIS from /diagnostics."""
-    comparisons = {resolve(t).lstrip('/'): score(Subject(bag, t), truth, window) for t in estimates}
+    comparisons = {
+        resolve(t).lstrip('/'): score(Subject(bag, t), truth, window, constants=constants) for t in estimates
+    }
     nis, timing = diagnostics_of(bag)
     return RunResult(name or bag_names([bag])[0], comparisons, nis=nis, timing=timing)
 
@@ -358,6 +371,7 @@ def run(argv: list[str]) -> int:
     p.add_argument('--truth-bag', help='bag with the truth, when it is another one')
     p.add_argument('--where', help='Bool topic of the truth bag: score only while it is true')
     p.add_argument('--after', type=float, default=0.0, help='s after the first truth from which to score')
+    p.add_argument('--solve', nargs='+', choices=CONSTANTS, default=(), metavar='CONSTANT', help=SOLVE_HELP)
     p.add_argument('--title', default='Estimates against truth')
     p.add_argument('-o', '--output', default='report.html', help='file to write (default report.html)')
     p.add_argument('--png', metavar='FOLDER', help='also write PNG files there')
@@ -366,7 +380,7 @@ def run(argv: list[str]) -> int:
     for bag, name in zip(o.bags, bag_names(o.bags)):
         truth_bag = o.truth_bag or bag
         window = read_window(o.after, math.inf, Subject(truth_bag, o.where) if o.where else None)
-        runs.append(run_of_bag(bag, o.estimate, Subject(truth_bag, o.truth), window, name))
+        runs.append(run_of_bag(bag, o.estimate, Subject(truth_bag, o.truth), window, name, o.solve))
     print(write_report(o.output, runs, o.title, pngs=o.png))
     return 0
 

@@ -7,32 +7,33 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bag_tools.align import CONSTANTS, HEADING, MOUNTING, Solved, aligned, correlated_lag, solve
 from bag_tools.bag import BagError
 from bag_tools.cli import guarded
 from bag_tools.errors import (
     at,
     attitude_errors,
-    delay,
     euler_angles,
     nees,
     quat_conjugate,
     quat_multiply,
     quaternions,
+    rotation_matrices,
     rotation_vectors,
 )
 from bag_tools.series import Array, Series, read_series
 from kalman_core.earth import ecef_from_geodetic_series, mat_ecef_from_enu
 
 PERCENTILES = (50.0, 95.0, 99.0)
-# The delay is searched on at most so many samples: the correlation costs samples times shifts.
-_DELAY_SAMPLES = 20_000
+SOLVE_HELP = f'take out first what two devices need not agree on: {", ".join(CONSTANTS)}'
 _DEGREES = 180.0 / math.pi
 # What three numbers of a message mean when it says so; angles are none of these.
 _OTHER_VECTORS = (
@@ -44,7 +45,10 @@ _NAMED = (*_OTHER_VECTORS, 'orientation')
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Errors of one component: `mean` is signed where the error is; the rest are of |error|."""
+    """Errors of one component: `mean` is signed where the error is; the rest are of |error|.
+
+    `nees` is the mean NEES per degree of freedom, 1 where errors are as large as the covariance says.
+    """
 
     name: str
     unit: str
@@ -52,11 +56,15 @@ class Statistics:
     mean: float
     max: float
     percentiles: dict[str, float]
+    nees: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One quantity of an estimate against truth. `nees` is the mean over time, `dof` what it should be."""
+    """One quantity of an estimate against truth. `nees` is the mean over time, `dof` what it should be.
+
+    `solved` holds the constants between both devices that were taken out before.
+    """
 
     role: str
     samples: int
@@ -65,6 +73,7 @@ class Score:
     nees: float | None = None
     dof: int | None = None
     delay: float | None = None
+    solved: Solved | None = None
 
     def component(self, name: str) -> Statistics:
         """Return the statistics of component `name`; raise KeyError."""
@@ -123,26 +132,6 @@ def _statistics(name: str, unit: str, errors: Array) -> Statistics:
     )
 
 
-def _delay(estimate: Series, truth: Series, window: Window) -> float | None:
-    """Estimate the lag on an even grid over the longest stretch of `window` that both cover."""
-    start = max(estimate.stamps[0], truth.stamps[0])
-    stop = min(estimate.stamps[-1], truth.stamps[-1])
-    if len(estimate.stamps) < 8 or len(truth.stamps) < 8 or stop <= start:
-        return None
-    step = float(max(np.median(np.diff(estimate.stamps)), np.median(np.diff(truth.stamps)), 1.0))
-    step = max(step, (stop - start) / _DELAY_SAMPLES)
-    grid = np.arange(start, stop, step).astype(np.int64)
-    a, known_a = at(estimate, grid)
-    b, known_b = at(truth, grid)
-    known = known_a & known_b & window.mask(grid, int(truth.stamps[0]))
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
-    if not len(edges):
-        return None
-    runs = edges.reshape(-1, 2)
-    begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
-    return delay(a[begin:end], b[begin:end], step * 1e-9, estimate.kind)
-
-
 def _orientation(estimate: Series, truth: Array, keep: NDArray[np.bool_], frame: str) -> tuple:
     q, reference = estimate.values[keep], truth[keep]
     sizes = attitude_errors(q, reference)
@@ -170,23 +159,59 @@ def _plain(estimate: Series, truth: Array, keep: NDArray[np.bool_]) -> tuple:
     return components, errors, (values, reference), errors, labels, estimate.unit, 1.0
 
 
+def _mean(values: Array) -> float | None:
+    """Return the mean of what is known, None where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.mean(known)) if len(known) else None
+
+
+def _shares(
+    estimate: Series, keep: NDArray[np.bool_], errors: Array, covariance: Array, frame: str
+) -> dict[str, float]:
+    """Return the mean NEES per degree of freedom of each component whose covariance is known.
+
+    An attitude without a reference of heading may be honest about its inclination only.
+    """
+    axes = {name: [i] for i, name in enumerate(estimate.labels)}
+    every = list(range(errors.shape[1]))
+    if estimate.kind == 'orientation':
+        axes = {'total': every, 'heading': [2], 'inclination': [0, 1]}
+        if frame == 'body':
+            turn = rotation_matrices(estimate.values[keep])
+            errors = np.einsum('nij,nj->ni', turn, errors)
+            covariance = turn @ covariance @ turn.transpose(0, 2, 1)
+    elif len(every) > 1:
+        axes['norm'] = every
+    means = {name: _mean(nees(errors[:, i], covariance[:, i][:, :, i])) for name, i in axes.items()}
+    return {name: mean / len(axes[name]) for name, mean in means.items() if mean is not None}
+
+
 def evaluate(
-    estimate: Series, truth: Series, window: Window | None = None, frame: str = 'world'
+    estimate: Series,
+    truth: Series,
+    window: Window | None = None,
+    frame: str = 'world',
+    constants: Collection[str] = (),
 ) -> Comparison:
     """Score one quantity. Orientations give total, heading and inclination errors in degrees.
 
     `frame` is that of the orientation covariance and error vector: 'world' (the workspace's convention) or
-    'body'. Raises BagError when no sample of the estimate lies where truth is known and the window open.
+    'body'. `constants` names what is solved and taken out first, see `bag_tools.align`. Raises BagError when
+    no sample of the estimate lies where truth is known and the window open.
     """
     if estimate.role == truth.role == 'geodetic':
         origin = truth.values[0]
         estimate, truth = _local(estimate, origin), _local(truth, origin)
     if estimate.kind != truth.kind or estimate.values.shape[1] != truth.values.shape[1]:
         raise BagError(f'{estimate.role} is a {estimate.kind}, the truth {truth.role} a {truth.kind}')
-    reference, known = at(truth, estimate.stamps)
     first = int(truth.stamps[0])
     window = window or Window()
-    keep = known & window.mask(estimate.stamps, first)
+    counts = partial(window.mask, origin=first)
+    solved = solve(estimate, truth, constants, counts) if constants else None
+    if solved is not None:
+        estimate = aligned(estimate, solved, frame)
+    reference, known = at(truth, estimate.stamps)
+    keep = known & counts(estimate.stamps)
     if not keep.any():
         raise BagError(f'{estimate.role}: no sample of the estimate lies where truth is known')
     parts = (
@@ -199,7 +224,9 @@ def evaluate(
     mean_nees = dof = sigmas = None
     if estimate.covariance is not None:
         covariance = estimate.covariance[keep]
-        mean_nees, dof = float(np.nanmean(nees(errors, covariance))), errors.shape[1]
+        mean_nees, dof = _mean(nees(errors, covariance)), errors.shape[1]
+        shares = _shares(estimate, keep, errors, covariance, frame)
+        components = [replace(c, nees=shares.get(c.name)) for c in components]
         sigmas = np.sqrt(np.einsum('nii->ni', covariance)) * factor
     score = Score(
         estimate.role,
@@ -208,7 +235,8 @@ def evaluate(
         components=components,
         nees=mean_nees,
         dof=dof,
-        delay=_delay(estimate, truth, window),
+        delay=correlated_lag(estimate, truth, counts),
+        solved=solved,
     )
     times = (stamps - first).astype(np.float64) * 1e-9
     return Comparison(score, times, shown[0], shown[1], shown_errors, labels, unit, sigmas, error_labels)
@@ -280,7 +308,11 @@ def read_window(after: float, before: float, where: Subject | None) -> Window:
 
 
 def score(
-    estimate: Subject, truth: Subject, window: Window | None = None, frame: str = 'world'
+    estimate: Subject,
+    truth: Subject,
+    window: Window | None = None,
+    frame: str = 'world',
+    constants: Collection[str] = (),
 ) -> list[Comparison]:
     """Score every quantity that the two topics share; raise BagError when there is none."""
     pairs = pair(
@@ -289,29 +321,39 @@ def score(
     )
     if not pairs:
         raise BagError(f"'{estimate.topic}' and '{truth.topic}' have no quantity in common; give field paths")
-    return [evaluate(e, t, window, frame) for e, t in pairs]
+    if {MOUNTING, HEADING} & set(constants) and all(e.kind != 'orientation' for e, _ in pairs):
+        raise BagError(
+            f"'{estimate.topic}' has no orientation; mounting and heading are solved for those only"
+        )
+    return [evaluate(e, t, window, frame, constants) for e, t in pairs]
 
 
 def to_text(comparisons: Sequence[Comparison]) -> str:
     """Return an aligned table, one line per component."""
-    head = ('quantity', 'component', 'RMSE', 'mean', 'max', *(f'{p:g} %' for p in PERCENTILES), 'unit')
+    head = (
+        *('quantity', 'component', 'RMSE', 'mean', 'max', *(f'{p:g} %' for p in PERCENTILES)),
+        *('unit', 'NEES/dof'),
+    )
     rows = [head]
     notes = []
     for c in comparisons:
         for s in c.score.components:
             numbers = (s.rmse, s.mean, s.max, *s.percentiles.values())
-            rows.append((c.score.role, s.name, *(f'{n:.4g}' for n in numbers), s.unit))
+            share = '–' if s.nees is None else f'{s.nees:.3g}'
+            rows.append((c.score.role, s.name, *(f'{n:.4g}' for n in numbers), s.unit, share))
         note = f'{c.score.role}: {c.score.samples} samples over {c.score.seconds:.1f} s'
         if c.score.nees is not None:
             note += f', mean NEES {c.score.nees:.3g} ({c.score.dof} expected)'
         if c.score.delay is not None:
             note += f', delay {c.score.delay * 1e3:.1f} ms'
+        if c.score.solved is not None:
+            note += f'; solved: {c.score.solved}'
         notes.append(note)
     widths = [max(len(r[i]) for r in rows) for i in range(len(head))]
     lines = []
     for row in rows:
         cells = (
-            v.ljust(w) if i in (0, 1, len(head) - 1) else v.rjust(w)
+            v.ljust(w) if i in (0, 1, len(head) - 2) else v.rjust(w)
             for i, (v, w) in enumerate(zip(row, widths))
         )
         lines.append('  '.join(cells).rstrip())
@@ -345,6 +387,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     p.add_argument('--where', help='Bool topic of the truth bag: score only while it is true')
     p.add_argument('--covariance-frame', choices=('world', 'body'), default='world')
+    p.add_argument('--solve', nargs='+', choices=CONSTANTS, default=(), metavar='CONSTANT', help=SOLVE_HELP)
     p.add_argument('--json', action='store_true', help='JSON instead of a table')
     return p
 
@@ -359,6 +402,7 @@ def run(argv: list[str]) -> int:
         Subject(truth_bag, o.truth, o.truth_field),
         window,
         o.covariance_frame,
+        o.solve,
     )
     print(to_json(results) if o.json else to_text(results))
     return 0

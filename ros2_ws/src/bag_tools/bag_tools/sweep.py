@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from bag_tools import rosargs
+from bag_tools.align import CONSTANTS
 from bag_tools.bag import BagError
 from bag_tools.cli import Progress, guarded
 from bag_tools.registry import find_ports
+from bag_tools.score import SOLVE_HELP
 from bag_tools.sweep_plan import (
     Scoring,
     Source,
@@ -70,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument('--truth-field', help='field path in the truth')
     p.add_argument('--after', type=float, default=0.0, help='s after the first truth from which to score')
     p.add_argument('--where', help='Bool topic: score only while it is true')
+    p.add_argument('--solve', nargs='+', choices=CONSTANTS, default=(), metavar='CONSTANT', help=SOLVE_HELP)
     p.add_argument('--objective', choices=('rmse', 'nis'), help='rank parameter sets by this')
     p.add_argument('--component', default='norm', help='error component of rmse, for example inclination')
     p.add_argument(
@@ -172,7 +175,7 @@ def run(argv: list[str]) -> int:
     fixed = rosargs.estimator_parameters(arguments, arguments.node or o.estimator)
     _check(o, fixed)
     sources = _sources(o)
-    scoring = Scoring(o.estimate, o.truth, o.field, o.truth_field, o.after, o.where)
+    scoring = Scoring(o.estimate, o.truth, o.field, o.truth_field, o.after, o.where, tuple(o.solve))
     store = Store(o.out)
     with _runner(o) as runner:
         if o.optimise:

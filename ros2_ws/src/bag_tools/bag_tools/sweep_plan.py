@@ -47,6 +47,7 @@ class Scoring:
     truth_field: str | None = None
     after: float = 0.0
     where: str | None = None
+    solve: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

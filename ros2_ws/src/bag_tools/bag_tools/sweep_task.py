@@ -47,8 +47,8 @@ def _scores(comparisons: list[Comparison]) -> Row:
         for c in result.components:
             row[f'rmse.{result.role}.{c.name}'] = c.rmse
             row[f'max.{result.role}.{c.name}'] = c.max
-        if result.nees is not None and result.dof:
-            row[f'nees_per_dof.{result.role}'] = result.nees / result.dof
+            if c.nees is not None:
+                row[f'nees_per_dof.{result.role}.{c.name}'] = c.nees
     return row
 
 
@@ -69,6 +69,7 @@ def _scored(scoring: Scoring, bag: Path, out: Path) -> Row:
             Subject(out, resolve(scoring.estimate), scoring.field),
             Subject(bag, resolve(scoring.truth), scoring.truth_field),
             read_window(scoring.after, math.inf, where),
+            constants=scoring.solve,
         )
     )
 

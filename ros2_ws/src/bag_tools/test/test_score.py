@@ -136,6 +136,32 @@ def test_nees_is_chi_square_in_the_frame_of_the_covariance(frame):
     )
 
 
+@pytest.mark.parametrize('frame', ['world', 'body'])
+def test_each_component_has_its_own_nees(frame):
+    """A heading ten times worse than it says leaves the inclination consistent."""
+    rng = np.random.default_rng(3)
+    n = 4000
+    truth = Rotation.from_euler('ZYX', np.column_stack((np.linspace(0, 20, n), np.full(n, 1.2), np.zeros(n))))
+    said = np.tile(np.diag([0.004, 0.004, 0.002]) ** 2, (n, 1, 1))
+    estimate = Rotation.from_rotvec(rng.normal(size=(n, 3)) * [0.004, 0.004, 0.02]) * truth
+    if frame == 'body':
+        turn = estimate.as_matrix()
+        said = turn.transpose(0, 2, 1) @ said @ turn
+    stamps = stamps_at(100, n)
+    found = evaluate(orientation(stamps, estimate, said), orientation(stamps, truth), frame=frame).score
+    assert found.component('inclination').nees == pytest.approx(1.0, abs=0.05)
+    assert found.component('heading').nees == pytest.approx(100.0, rel=0.1)
+    assert found.component('total').nees == pytest.approx(found.nees / 3.0)
+
+
+def test_components_of_vectors_have_their_own_nees_where_it_is_known():
+    stamps = stamps_at(10, 2)
+    cov = np.tile(np.diag([4.0, 1.0, 0.0]), (2, 1, 1))
+    found = evaluate(vector(stamps, [[2.0, 3.0, 5.0]] * 2, cov=cov), vector(stamps, np.zeros((2, 3)))).score
+    assert [c.nees for c in found.components] == [1.0, 9.0, None, None]
+    assert found.nees is None
+
+
 def test_nees_of_a_singular_covariance_is_unknown():
     got = nees(np.array([[1.0, 2.0], [1.0, 2.0]]), np.array([np.eye(2), np.zeros((2, 2))]))
     assert got[0] == pytest.approx(5.0)

@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from bag_tools.align import LAG, MOUNTING, aligned, solve
+from bag_tools.errors import at, euler_angles
+from bag_tools.series import Series
 from quad_control.attitude_filter import AttitudeFilter
 from quad_control.params import AttitudeParams
-from quad_control.recordings import Alignment, Recording, alignment, read_phantom, upward
+from quad_control.recordings import Recording, read_phantom
 from quad_control.samples import Attitude, ImuSample
 
 FLIGHTS = ('H1', 'H2', 'H3', 'H4', 'H5')
@@ -22,7 +26,7 @@ def folder() -> Path | None:
     return path if path.is_dir() else None
 
 
-def own(recording: Recording, name: str) -> Alignment:
+def own(recording: Recording, name: str) -> np.ndarray:
     """Score one of this package's filters, causal, one sample at a time."""
     period = float(np.median(np.diff(recording.time)))
     attitude = AttitudeFilter(AttitudeParams(filter=name, period=period))
@@ -31,20 +35,36 @@ def own(recording: Recording, name: str) -> Alignment:
         out = attitude.on_imu(ImuSample(10**9 + round(t * 1e9), tuple(gyro), tuple(force)))
         said = [e for e in out or [] if type(e) is Attitude]
         quaternions[i] = said[0].quaternion if said else quaternions[i - 1]
-    return alignment(recording, upward(quaternions))
+    return roll_pitch_errors(recording, quaternions)
 
 
-def vqf(recording: Recording) -> Alignment:
+def vqf(recording: Recording) -> np.ndarray:
     """Score VQF's causal six-axis estimate with its defaults."""
     from vqf import VQF
 
     result = VQF(float(np.median(np.diff(recording.time)))).updateBatch(
         np.ascontiguousarray(recording.gyro), np.ascontiguousarray(recording.force)
     )
-    return alignment(recording, upward(result['quat6D']))
+    return roll_pitch_errors(recording, result['quat6D'])
 
 
-def mean_over_flights(score, where: Path) -> tuple[float, float]:
-    """Return the means over all flights of RMSE and mean absolute error (°)."""
-    found = [score(read_phantom(where, name)) for name in FLIGHTS]
-    return float(np.mean([a.rmse for a in found])), float(np.mean([a.mean_absolute for a in found]))
+def roll_pitch_errors(recording: Recording, quaternions: np.ndarray) -> np.ndarray:
+    """Return errors (m, 2) rad at the autopilot's samples, once mounting and lag are solved."""
+    estimate = _series(recording.time, quaternions)
+    truth = _series(recording.truth_time, recording.truth)
+    solved = solve(estimate, truth, (MOUNTING, LAG), lambda stamps: np.ones(len(stamps), dtype=bool))
+    seen, known = at(aligned(estimate, solved), truth.stamps)
+    errors = (euler_angles(seen[known]) - euler_angles(truth.values[known]))[:, :2]
+    return (errors + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def _series(time: np.ndarray, quaternions: np.ndarray) -> Series:
+    stamps = np.round(time * 1e9).astype(np.int64)
+    return Series('orientation', 'orientation', stamps, quaternions, ('w', 'x', 'y', 'z'), 'rad')
+
+
+def mean_over_flights(errors: Callable[[Recording], np.ndarray], where: Path) -> tuple[float, float]:
+    """Return RMSE and mean absolute error (°), means over roll and pitch and over all flights."""
+    found = [np.degrees(errors(read_phantom(where, name))) for name in FLIGHTS]
+    rmse = np.mean([np.sqrt(np.mean(e**2, axis=0)) for e in found])
+    return float(rmse), float(np.mean([np.abs(e).mean() for e in found]))

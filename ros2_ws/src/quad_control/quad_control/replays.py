@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `./ws run` replays of this package: the 10 degree test, all three filters side by side."""
+"""What `./ws run` replays of this package: the 10 degree test and recorded flights, all three filters."""
 
-from bag_tools.catalogue import Entry, Replay
+from dataclasses import replace
+from pathlib import Path
+
+from bag_tools.align import HEADING, LAG, MOUNTING
+from bag_tools.catalogue import Entry, Recorded, Replay
 
 _ENTRIES = tuple(
     Entry(name, 'attitude_filter', 'imu/data', {'filter': name})
@@ -27,4 +31,28 @@ REPLAYS = (
         ('inclination',),
         after=_SETTLED,
     ),
+)
+
+# The IMU of these flights samples at 120 Hz.
+_FLIGHT_ENTRIES = tuple(replace(e, params={**e.params, 'period': 1.0 / 120.0}) for e in _ENTRIES)
+
+
+def _flight(bag: Path) -> Replay:
+    """Return the replay of a recorded flight.
+
+    Its IMU was glued on, the autopilot keeps its own time, and without a magnetometer the heading is that
+    since the start.
+    """
+    return Replay(
+        bag.stem,
+        "recorded flight with the autopilot's attitude",
+        '/truth/orientation',
+        _FLIGHT_ENTRIES,
+        ('inclination',),
+        solve=(MOUNTING, HEADING, LAG),
+    )
+
+
+RECORDED = (
+    Recorded('quad/phantom4rtk/H*_IMU_1.csv', 'quad_control:phantom4rtk', _flight, live_seconds=10.0),
 )

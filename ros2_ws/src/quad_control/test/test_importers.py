@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bag_tools.bag import BagError, BagReader, BagWriter
-from kalman_core.rotation import euler_from_quat, quat_from_euler
+from kalman_core.rotation import euler_from_quat
 from quad_control.codec import decode_imu
 from quad_control.importers import IMPORTERS
-from quad_control.recordings import Recording, RecordingError, alignment, read_phantom, upward
+from quad_control.recordings import RecordingError, read_phantom
 
 DATA = Path(os.environ.get('ESTIMATOR_DATA', '../shared/data')) / 'quad'
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f'no recordings in {DATA} (ESTIMATOR_DATA)')
@@ -81,20 +81,6 @@ def test_what_is_no_ulog_is_one_clear_error(tmp_path):
         ):
             IMPORTERS['ulog'](source, writer)
         (tmp_path / 'out.mcap').unlink(missing_ok=True)
-
-
-def test_alignment_finds_the_mounting_and_the_lag_it_was_given():
-    t = np.arange(0.0, 20.0, 0.01)
-    roll, pitch = 0.3 * np.sin(t), 0.2 * np.cos(1.7 * t)
-    truth = np.array([quat_from_euler(r, p, 0.5) for r, p in zip(roll, pitch)])
-    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    lag = 0.35
-    seen = upward(np.array([quat_from_euler(0.3 * np.sin(x), 0.2 * np.cos(1.7 * x), 0.0) for x in t - lag]))
-    recording = Recording(t, np.zeros((len(t), 3)), np.zeros((len(t), 3)), t[::10], truth[::10])
-    found = alignment(recording, seen @ turn)
-    assert found.lag == pytest.approx(lag, abs=0.011)
-    assert found.mounting == pytest.approx(turn, abs=1e-3)
-    assert found.rmse < 0.05
 
 
 def test_a_missing_flight_is_named(tmp_path):

@@ -80,8 +80,9 @@ def test_the_key_of_a_run_is_all_that_decides_it():
         tasks_of('deadly', [0])[0],
         Task('swept', 'chain', base.source, base.scoring, base.params),
         Task('swept', 'mix', base.source, Scoring('mixture', 'aux', after=1.0), base.params),
+        Task('swept', 'mix', base.source, Scoring('mixture', 'aux', solve=('lag',)), base.params),
     ]
-    assert len({base.key, *(t.key for t in others)}) == 6
+    assert len({base.key, *(t.key for t in others)}) == 7
     assert tasks_of('sensors', [0])[0].key == base.key
 
 
@@ -89,6 +90,9 @@ def test_a_run_that_cannot_work_is_a_row_with_the_reason(tmp_path):
     row = run_task(tasks_of('sensors', [0], (7.0,))[0])
     assert 'leak' in row['error']
     assert objective(row, 'rmse', 'norm', {}) == math.inf
+    base = tasks_of('sensors', [0])[0]
+    turned = Task('swept', 'mix', base.source, Scoring('mixture', 'aux', solve=('mounting',)), base.params)
+    assert "'/mixture' has no orientation" in run_task(turned)['error']
 
 
 def test_workers_give_what_one_run_after_the_other_gives_though_one_is_killed(tmp_path, monkeypatch):

@@ -186,7 +186,7 @@ def _outages(options: Options) -> Iterable[Row]:
             many = [*end, *(_outage(left, seed)[0] for seed in range(len(end), seeds))]
             reference = {'standard error': _standard_error(many)}
             yield _row(
-                f'{name} at the end, more seeds', np.mean(many), 'm', bar, reference=reference, seeds=seeds
+                f'{name} at the end, {more} seeds', np.mean(many), 'm', bar, reference=reference, seeds=seeds
             )
 
 

@@ -2,9 +2,11 @@
 """The `ros2 …` lines of the documents work, on a real Jazzy and with the stand-in alike."""
 
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from workspace_harness.make_bags import root
 
 from node_core.testing import Process, probe
 
@@ -28,6 +30,39 @@ def test_executables_of_a_package_are_listed():
     code, out, _ = ros2('pkg', 'executables', 'imu_kalman')
     assert code == 0
     assert 'imu_kalman attitude_estimator' in out.splitlines()
+
+
+_LATE_CTRL_C = """
+import sys
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from ros2_standin import __main__, topics
+
+def verb(node, arguments):
+    if arguments.verb == 'list':
+        raise RuntimeError('of another kind')
+    node.context.shutdown()  # as the signal's handler does, once rclpy has looked whether to go on
+    rclpy_implementation.WaitSet(0, 0, 0, 0, 0, 0, node.context.handle)
+
+topics.topic_hz = topics.topic_list = verb
+sys.exit(__main__.main())
+"""
+
+
+def test_ctrl_c_between_two_waits_is_clean_and_other_errors_are_not_hidden():
+    def stand_in(*words):
+        return subprocess.run(
+            [sys.executable, '-c', _LATE_CTRL_C, *words],
+            cwd=root() / 'tools',
+            capture_output=True,
+            text=True,
+            timeout=60.0,
+        )
+
+    ended = stand_in('topic', 'hz', 'imu/data')
+    assert (ended.returncode, ended.stderr) == (0, '')
+    failed = stand_in('topic', 'list')
+    assert failed.returncode == 1
+    assert 'of another kind' in failed.stderr
 
 
 def test_an_unknown_package_is_an_error():

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 import rclpy
 import yaml
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from ros2_standin.text import message_class, set_fields
@@ -21,12 +22,17 @@ _LIMIT = 5.0
 
 @contextmanager
 def temporary_node() -> Iterator[Node]:
-    """Yield a hidden node that has discovered the graph."""
+    """Yield a hidden node that has discovered the graph; ExternalShutdownException after Ctrl-C."""
     rclpy.init()
     node = Node(f'_ros2cli_{os.getpid()}', start_parameter_services=False, enable_rosout=False)
     try:
         _discover(node)
         yield node
+    except RuntimeError as error:
+        # rclpy may be about to wait, or to look at the graph, when Ctrl-C ends its context.
+        if rclpy.ok():
+            raise
+        raise ExternalShutdownException from error
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

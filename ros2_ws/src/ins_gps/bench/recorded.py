@@ -21,7 +21,7 @@ from ins_gps.fix import solve_position, solve_velocity
 from ins_gps.orbit import range_and_rate
 from ins_gps.params import BaseParams, FilterParams
 from ins_gps.recordings import gnss_epochs, read_drive_imu, read_track, read_walk_imu
-from ins_gps.samples import ImuSample, PositionSample
+from ins_gps.samples import GROUND_CORRECTIONS, ImuSample, PositionSample
 from ins_gps.simulation import HG1700, add_imu_errors
 from ins_gps.smoother import Smoother
 from ins_gps.solution import error_of
@@ -238,7 +238,7 @@ def walk(root: Path) -> dict[str, float]:
             navigation.corrections(correction)
             code.corrections(correction)
         if standing:
-            navigation.position(PositionSample(epoch.stamp, stand, np.eye(3) * 0.05**2))
+            navigation.position(PositionSample(epoch.stamp, stand, np.eye(3) * 0.05**2, GROUND_CORRECTIONS))
         navigation.gnss(epoch)
         code.gnss(epoch)
         if track.stamps[k] - track.stamps[0] > 20 * SECOND:
@@ -278,7 +278,7 @@ def drive(root: Path, outage: float = 60.0, **changes) -> dict[str, float]:
     for start in (120.0, 240.0, 360.0, 450.0):
         hidden = (seconds >= start) & (seconds < start + outage)
         samples = [
-            PositionSample(int(t), g, np.diag([0.05, 0.05, 0.1]) ** 2)
+            PositionSample(int(t), g, np.diag([0.05, 0.05, 0.1]) ** 2, GROUND_CORRECTIONS)
             for t, g, h in zip(track.stamps, track.geodetic, hidden, strict=True)
             if not h
         ]

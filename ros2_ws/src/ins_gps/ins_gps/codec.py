@@ -106,7 +106,8 @@ def decode_fix(message: Any) -> PositionSample:
     if message.position_covariance_type == _COVARIANCE_UNKNOWN:
         raise BadMessage('covariance unknown')
     enu = np.asarray(message.position_covariance, dtype=float).reshape(3, 3)
-    return PositionSample(stamp, np.array([math.radians(lat), math.radians(lon), height]), _positive(enu))
+    geodetic = np.array([math.radians(lat), math.radians(lon), height])
+    return PositionSample(stamp, geodetic, _positive(enu), message.status.status)
 
 
 def _positive(enu: np.ndarray) -> np.ndarray:

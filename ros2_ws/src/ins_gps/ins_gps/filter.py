@@ -18,7 +18,8 @@ from ins_gps.configuration import config_array
 from ins_gps.constraints import non_holonomic_update, zero_velocity_update
 from ins_gps.fates import count_rows
 from ins_gps.gnss_update import gnss_epoch
-from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, repeated_error, vector_update
+from ins_gps.lasting import Lasting, add_rows, age_errors, errors_elsewhere, start_errors
+from ins_gps.loose import EpochFix, epoch_fix, ned_covariance, vector_update
 from ins_gps.params import FilterParams
 from ins_gps.plausibility import imu_fault, navigation_fault, plausible_rows, valid_satellites
 from ins_gps.prediction import advance_covariance, covariance_of, hold_to, imu_step
@@ -122,6 +123,7 @@ class NavigationFilter:
         s[at.CLOCK], s[at.CLOCK_DRIFT] = clock
         s[at.SPAN : at.SPAN_FORCE + 3] = 0.0
         s[at.CLONE_VALID] = s[at.LOST] = s[at.INTERSYSTEM] = s[at.HELD] = 0.0
+        s[at.FIX_ERROR : at.FIX_SPREAD + 1] = 0.0
         s[at.SEC], s[at.NSEC] = divmod(stamp, NANOSECONDS)
         P = self.covariance
         P[:] = 0.0
@@ -324,29 +326,31 @@ class NavigationFilter:
         if fix is None:
             self.tally.reject('loose fix', 'no consistent fix')
             return
-        covariance = ned_covariance(fix.position, fix.geodetic)
-        self._use_position(stamp, fix.geodetic, covariance, 'loose fix', since, fix)
+        sample = PositionSample(stamp, fix.geodetic, ned_covariance(fix.position, fix.geodetic))
+        full = self.params.states == 'full'
+        self._use_position(sample, 'loose fix', since, fix.lasting if full else (), fix)
         # The paper's loose coupling knows positions only.
-        if fix.velocity is not None and self.params.states == 'full':
+        if fix.velocity is not None and full:
             mat = mat_ecef_from_ned(fix.geodetic[0], fix.geodetic[1])
             covariance = mat.T @ fix.velocity.covariance[:3, :3] @ mat
             self._use_velocity(stamp, mat.T @ fix.velocity.position, covariance, 'loose velocity')
 
     def _use_position(
-        self, stamp: int, geodetic, covariance, name: str, since: float, fix: EpochFix | None = None
+        self, sample: PositionSample, name: str, since: float, lasting: Lasting, fix=None
     ) -> None:
-        """Correct with a fix `since` seconds after the last; one refused for long is believed after all."""
+        """Correct with a position `since` s after the last, of `fix`; if refused for long it is believed."""
         s = self.state
         if s[at.LOST] > self.params.lost_time:
-            self._start_anew(stamp, geodetic, covariance, fix)
-            self.tally.accept(name, stamp)
+            self._start_anew(sample.stamp, sample.geodetic, sample.covariance, fix)
+            start_errors(s, self.channels, sample.covariance, lasting)
+            self.tally.accept(name, sample.stamp)
             if not self.tally.muted:
                 self.tally.restart(f'{name}: rejected for {self.params.lost_time:g} s, taken again')
             return
-        nu, H = position_rows(s, self.nav, self._prediction, len(self.covariance), geodetic)
-        time = self.params.fix_time
-        lasting = fix.lasting if fix is not None else ((1.0, time),) if time > 0.0 else ()
-        used = self._vector(stamp, H, nu, covariance, name, _GATE_POSITION, repeated_error(since, lasting))
+        nu, H = position_rows(s, self.nav, self._prediction, len(self.covariance), sample.geodetic)
+        white = age_errors(s, self.channels, sample.covariance, since, lasting)
+        add_rows(s, H, nu)
+        used = self._vector(sample.stamp, H, nu, white, name, _GATE_POSITION)
         s[at.LOST] = 0.0 if used else s[at.LOST] + since
 
     def _use_velocity(self, stamp: int, velocity, covariance, name: str) -> None:
@@ -358,8 +362,8 @@ class NavigationFilter:
         H[:, at.VEL : at.VEL + 3] = np.eye(3)
         self._vector(stamp, H, velocity - now, covariance, name, _GATE_POSITION)
 
-    def _vector(self, stamp: int, H, nu, covariance, name: str, gate: float, repeated: float = 1.0) -> bool:
-        nis, used = vector_update(self.state, self.channels, H, nu, covariance, gate, repeated)
+    def _vector(self, stamp: int, H, nu, covariance, name: str, gate: float) -> bool:
+        nis, used = vector_update(self.state, self.channels, H, nu, covariance, gate)
         if used:
             self.tally.accept(name, stamp, nis, _GATE_POSITION)
         else:
@@ -373,18 +377,17 @@ class NavigationFilter:
             self.tally.reject('gnss/fix', fault)
             return None
         sec, nsec = divmod(sample.stamp, NANOSECONDS)
-        s = self.state
+        s, lasting = self.state, errors_elsewhere(sample.status, self.params)
+        since = sec + 1e-9 * nsec - s[at.FIX_SEC] if s[at.FIX_SEC] else 0.0
+        s[at.FIX_SEC] = sec + 1e-9 * nsec
         if s[at.STAGE] == at.WAITING:
             self._start_from(sample.stamp, sample.geodetic, sample.covariance, None)
-            s[at.FIX_SEC] = sec + 1e-9 * nsec
+            start_errors(s, self.channels, sample.covariance, lasting)
             return fix_estimate(sample.stamp, self.nav, self.covariance)
         if self.coasting:
             hold_still(s)
         hold_to(s, self.channels, self._prediction, sec, nsec)
-        now = sec + 1e-9 * nsec
-        since = now - s[at.FIX_SEC] if s[at.FIX_SEC] else 0.0
-        s[at.FIX_SEC] = now
-        self._use_position(sample.stamp, sample.geodetic, sample.covariance, 'gnss/fix', since)
+        self._use_position(sample, 'gnss/fix', since, lasting)
         self._align(since)
         return fix_estimate(sample.stamp, self.nav, self.covariance)
 

@@ -3,15 +3,18 @@
 
 Error state (truth = estimate + error): position (m, NED) 0-2, velocity (m/s, NED) 3-5, attitude (rad, NED,
 q_true = exp(error) q) 6-8, accelerometer bias 9-11, gyro bias 12-14, receiver clock (m) 15, clock drift
-(m/s) 16, inter-system bias (m) 17, clone of the previous epoch: antenna position (m, NED) 18-20 and clock
-(m) 21; then per channel: slow range error (m), multipath (m), carrier noise of the last epoch (m).
+(m/s) 16, inter-system bias (m) 17, lasting errors of position fixes (m, NED): a fast one 18-20 and a slow
+one 21-23, clone of the previous epoch: antenna position (m, NED) 24-26 and clock (m) 27; then per channel:
+slow range error (m), multipath (m), carrier noise of the last epoch (m).
 """
 
 # Values of STAGE.
 WAITING, COASTING, RUNNING = 0.0, 1.0, 2.0
 
 # Error states.
-POS, VEL, ATT, ACC, GYR, CLK, DRIFT, ISB, CLONE, CLONE_CLK, CHANNEL = 0, 3, 6, 9, 12, 15, 16, 17, 18, 21, 22
+POS, VEL, ATT, ACC, GYR, CLK, DRIFT, ISB, FIX, CLONE, CLONE_CLK, CHANNEL = (
+    0, 3, 6, 9, 12, 15, 16, 17, 18, 24, 27, 28,
+)  # fmt: skip
 NAV_STATES = 17  # those that the transition couples: position ... drift
 PER_CHANNEL = 3
 
@@ -37,7 +40,9 @@ HELD = 67  # s over which the last IMU sample has been held
 NOISE_SEC, NOISE_NSEC, NOISE_COUNT = 68, 69, 70  # of `vibration`: the last sample; how many before it fit
 NOISE_DIFFERENCES = 71  # per axis the last sample and its first and second difference
 NOISE_PSD = 89  # (rad/s)²/Hz, then (m/s²)²/Hz, by axis of the IMU
-HEAD = 95
+FIX_ERROR = 95  # m, NED: the lasting errors of fixes, the fast one first
+FIX_SPREAD = 101  # m²: trace of the last fix's covariance
+HEAD = 102
 
 # One channel.
 C_KEY, C_SEC, C_NSEC, C_PHASE, C_SAT, C_SATCLK, C_SLOW, C_MULTIPATH, C_NOISE, C_REJECTED = (

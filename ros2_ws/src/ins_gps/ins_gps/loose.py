@@ -17,6 +17,7 @@ from ins_gps.constants import SPEED_OF_LIGHT
 from ins_gps.correction import ACCEPTED, joint_update
 from ins_gps.faults import spread_signatures
 from ins_gps.fix import OK, Fix, solve_position, solve_velocity
+from ins_gps.lasting import Lasting
 from ins_gps.layout import C_KEY, C_PHASE, C_SATCLK, CHANNEL_WIDTH, HEAD
 from ins_gps.orbit import azimuth_elevation, range_and_rate
 from ins_gps.prediction import covariance_of, inject
@@ -24,13 +25,12 @@ from kalman_core.earth import geodetic_from_ecef, mat_ecef_from_ned
 
 # s: errors of orbit, clock and atmosphere keep for minutes to hours.
 _SLOW_TIME = 600.0
-Lasting = tuple[tuple[float, float], ...]
 
 
 class EpochFix(NamedTuple):
     """Position fix, geodetic position (rad, rad, m), velocity fix (or None).
 
-    lasting: as in `repeated_error`, of multipath and of slow errors.
+    lasting: of multipath and of slow errors.
     """
 
     position: Fix
@@ -94,18 +94,6 @@ def epoch_fix(state, channels: int, config, params, rows, since: float, start=No
     return EpochFix(fix, geodetic, velocity if velocity.status == OK else None, lasting)
 
 
-def repeated_error(since: float, lasting: Lasting) -> float:
-    """Return the factor on the covariance of a fix `since` s after the last, 1 for a first one (0).
-
-    lasting: share of the variance and correlation time T (s) of each first-order error. Such an error that is
-    treated as white has to count with its density at low frequency, σ² (1 + f)/(1 − f) with
-    f = exp(−since/T): else averaging over epochs makes the filter sure of what they have in common.
-    """
-    if not since > 0.0:
-        return 1.0
-    return 1.0 + sum(share * (1.0 / math.tanh(0.5 * since / time) - 1.0) for share, time in lasting)
-
-
 def _rate(state, channels: int, row, since: float) -> float:
     """Return a range rate free of the satellite clock (m/s), NaN if none."""
     if math.isfinite(row[5]):
@@ -141,13 +129,12 @@ def _weaken(S, nu, covariance, gate):
 
 
 @njit(cache=True, nogil=True)
-def vector_update(state, channels, H, nu, covariance, gate, repeated):
+def vector_update(state, channels, H, nu, covariance, gate):
     """Correct with a vector of at most a few correlated measurements; return (NIS, whether within the gate).
 
     H: (m, n), nu: (m,), covariance: (m, m). Judged as a whole: `gate` limits the NIS with m degrees of
     freedom. What lies beyond it gets the weight that puts it on the gate: systematic errors (a delay, a
-    lever arm) of a precise fix would otherwise shut it out for good. `repeated` is the factor of
-    `repeated_error`: it weakens the correction, not the judgement.
+    lever arm) of a precise fix would otherwise shut it out for good.
     """
     P = covariance_of(state, channels)
     n = P.shape[0]
@@ -159,7 +146,6 @@ def vector_update(state, channels, H, nu, covariance, gate, repeated):
     within = nis <= gate
     if not within:
         covariance = _weaken(S, nu, covariance, gate)
-    covariance = repeated * covariance
     L = np.linalg.cholesky(covariance)
     white_H = np.linalg.solve(L, H)
     white_nu = np.linalg.solve(L, nu)

@@ -65,7 +65,13 @@ class FilterParams:
     code_multipath: float = parameter(2.0, 'first-order multipath of the code, one σ', unit='m', minimum=0.0)
     multipath_time: float = parameter(60.0, 'its correlation time', unit='s', minimum=0.1)
     fix_time: float = parameter(
-        0.0, 'correlation time of the errors of fixes on gnss/fix, 0: white', unit='s', minimum=0.0
+        60.0,
+        "how long errors of fixes on gnss/fix last that have no ground station's corrections, 0: white",
+        unit='s',
+        minimum=0.0,
+    )
+    fix_white: float = parameter(
+        0.3, 'share of their variance that is white all the same', minimum=0.01, maximum=1.0
     )
     carrier_noise: float = parameter(0.01, 'white noise of the carrier', unit='m', minimum=1e-6)
     carrier_walk: float = parameter(0.01, 'random walk of the carrier', unit='m/√s', minimum=0.0)

@@ -29,6 +29,8 @@ from ins_gps.layout import (
     CORRECTION_SLOTS,
     CORRECTION_WIDTH,
     DRIFT,
+    FIX,
+    FIX_ERROR,
     FORCE,
     GYR,
     GYR_BIAS,
@@ -340,6 +342,8 @@ def inject(state, channels, dx):
     state[CLOCK] += dx[CLK]
     state[CLOCK_DRIFT] += dx[DRIFT]
     state[INTERSYSTEM] += dx[ISB]
+    for k in range(CLONE - FIX):
+        state[FIX_ERROR + k] += dx[FIX + k]
     n, e, d = dx[CLONE], dx[CLONE + 1], dx[CLONE + 2]
     state[CLONE_POS] += -s * co * n - so * e - c * co * d
     state[CLONE_POS + 1] += -s * so * n + co * e - c * so * d

@@ -66,12 +66,19 @@ class Corrections(NamedTuple):
     rows: np.ndarray
 
 
+GROUND_CORRECTIONS = 2  # STATUS_GBAS_FIX of sensor_msgs/NavSatStatus
+
+
 class PositionSample(NamedTuple):
-    """A fix from elsewhere: latitude, longitude (rad), height (m), covariance (3, 3) m^2 in NED."""
+    """A fix from elsewhere: latitude, longitude (rad), height (m), covariance (3, 3) m^2 in NED.
+
+    status as in NavSatStatus: 0 fix, 1 with a satellite's, `GROUND_CORRECTIONS` with a ground station's help.
+    """
 
     stamp: int
     geodetic: np.ndarray
     covariance: np.ndarray
+    status: int = 0
 
 
 class VelocitySample(NamedTuple):

@@ -10,6 +10,7 @@ from ins_gps.estimator import InsGpsEstimator
 from ins_gps.odometry import body_quaternion
 from ins_gps.params import FilterParams, SimulatorParams
 from ins_gps.samples import (
+    GROUND_CORRECTIONS,
     OBSERVATION_COLUMNS,
     BiasEstimate,
     Corrections,
@@ -199,6 +200,10 @@ def test_a_fix_is_read_in_radians_and_its_covariance_turned_to_ned():
     sample = codec.decode_fix(_nav_sat_fix())
     np.testing.assert_allclose(sample.geodetic, [np.radians(21.0), np.radians(105.0), 10.0])
     np.testing.assert_allclose(np.diag(sample.covariance), [4.0, 1.0, 9.0])
+    assert sample.status == 0
+    message = _nav_sat_fix()
+    message.status.status = GROUND_CORRECTIONS
+    assert codec.decode_fix(message).status == GROUND_CORRECTIONS
 
 
 @pytest.mark.parametrize(

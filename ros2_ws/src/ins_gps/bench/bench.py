@@ -33,6 +33,7 @@ from ins_gps.evaluation import (
     paper_systems,
     start_wrong,
 )
+from ins_gps.params import FilterParams
 from ins_gps.simulation import DGPS, Fault, Outage, Scenario
 from ins_gps.simulation_gnss import simulate
 from ins_gps.smoother import Smoother
@@ -41,6 +42,7 @@ from kalman_core.consistency import chi2_band
 from kalman_core.gates import chi2_gate
 
 sys.path.insert(0, str(Path(__file__).parent))
+import lasting_fixes
 import recorded
 import speed
 
@@ -399,11 +401,38 @@ def _speed(options: Options) -> Iterable[Row]:
     )
 
 
+def _lasting_fixes(options: Options) -> Iterable[Row]:
+    seeds = _seeds(options, 20)
+    found = {
+        f'loose, codes {word}': [lasting_fixes.own_fixes(budget, white, seeds) for white in (False, True)]
+        for word, budget in lasting_fixes.BUDGETS.items()
+    }
+    found["gnss/fix, a receiver's positions alone, MEMS"] = [
+        lasting_fixes.receiver_fixes(time, seeds) for time in (FilterParams().fix_time, 0.0)
+    ]
+    for name, (ours, white) in found.items():
+        title = f'{name}, errors that last'
+        yield _row(
+            f'{title}: rms position error',
+            ours.rms,
+            'm',
+            reference={'taken as white': white.rms},
+            seeds=seeds,
+        )
+        yield _row(
+            f'{title}: mean NEES of position (3 expected)',
+            ours.nees,
+            '',
+            reference={'taken as white': white.nees},
+            seeds=seeds,
+        )
+
+
 def measure(options: Options) -> Iterable[Row]:
     """Yield every row, the quick ones first."""
     clocked = (_speed,) if options.live else ()
     still = (
-        (_recordings, _doctor, _faults, _outages, _smoothing, _accuracy, _ablation, _paper)
+        (_recordings, _doctor, _faults, _outages, _smoothing, _lasting_fixes, _accuracy, _ablation, _paper)
         if options.still
         else ()
     )

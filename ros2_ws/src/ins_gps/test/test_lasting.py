@@ -16,6 +16,8 @@ from ins_gps.params import FilterParams
 from ins_gps.samples import GROUND_CORRECTIONS, PositionSample
 from ins_gps.simulation import DGPS, HG1700, MEMS
 from ins_gps.simulation_gnss import simulate
+from ins_gps.smoother import Smoother
+from ins_gps.solution import error_of
 
 TIME = 60.0
 FAST, SLOW = slice(at.FIX, at.FIX + 3), slice(at.FIX + 3, at.FIX + 6)
@@ -66,6 +68,20 @@ def test_positions_alone_start_a_cheap_imu_and_still_show_how_it_moves():
     nees, _, speed = consistency(MEMS, False, params, params.fix_white, 4)
     assert nees < 6.0
     assert speed < 0.25
+
+
+def test_smoothing_knows_what_all_fixes_have_in_common():
+    params = filter_params(DGPS, HG1700, mode='loose', alignment='velocity')
+    nees = []
+    for seed in range(3):
+        run = simulate(replace(SCENARIO, duration=240.0), 300 + seed)
+        samples = [s for s in fixes(run, seed, lasting(params.fix_white, seed)) if type(s) is PositionSample]
+        result = Smoother(params).run(run.stamps[1:], run.rate, run.force, samples)
+        for stamp, nav, P in zip(result.stamps, result.smoothed, result.smoothed_covariance, strict=True):
+            error = error_of(nav, run.truth[np.searchsorted(run.stamps, stamp)])[:3]
+            nees.append(error @ np.linalg.solve(P[:3, :3], error))
+    # 3 expected of few independent errors; taken as white they were 176.
+    assert np.mean(nees) < 10.0
 
 
 def test_white_errors_of_a_simulator_do_no_harm():

@@ -2,8 +2,8 @@
 """Errors of position fixes that last from one fix to the next, as states of the filter.
 
 Atmosphere, orbits and multipath keep for a minute or more. Taken as white, they let the filter be sure of a
-place that all fixes have in common; left out of the weights, the fixes no longer show how the craft moved.
-As first-order errors in NED beside the position they do neither.
+place that all fixes have in common; weighted down for it, the fixes no longer show how the craft moves. As
+first-order errors in NED beside the position they do neither.
 
 Source: Groves, 2nd ed., 3.4.3 (states for time-correlated measurement noise).
 """
@@ -23,6 +23,8 @@ from ins_gps.samples import GROUND_CORRECTIONS
 Lasting = tuple[tuple[float, float], ...]
 # A fix whose variance is so many times another's is another kind of solution, with errors of its own.
 _OTHER_SOLUTION = 4.0
+# Rounding of a fix (height in cm) and motion between its epoch and its stamp are new each time.
+_LEAST_WHITE = 0.01
 
 
 def errors_elsewhere(status: int, params: FilterParams) -> Lasting:
@@ -52,7 +54,7 @@ def age_errors(state, channels: int, covariance: np.ndarray, since: float, lasti
         signatures[:, own] *= decay
         state[FIX_ERROR + 3 * k : FIX_ERROR + 3 * k + 3] *= decay
         white -= share
-    return white * covariance
+    return max(white, _LEAST_WHITE) * covariance
 
 
 def start_errors(state, channels: int, covariance: np.ndarray, lasting: Lasting) -> None:

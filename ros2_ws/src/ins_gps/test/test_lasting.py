@@ -156,6 +156,13 @@ def test_errors_fade_towards_what_the_fix_says():
     assert np.allclose(P[SLOW, :3], -0.3 * math.exp(-0.1) * covariance)
 
 
+def test_a_fix_is_never_all_alike_the_last():
+    covariance = np.diag([4.0, 9.0, 16.0])
+    state, _ = started(covariance, ((1.0, 60.0),))
+    white = age_errors(state, 4, covariance, 1.0, ((0.6, 60.0), (0.4, 600.0)))
+    assert np.allclose(white, 0.01 * covariance)
+
+
 @pytest.mark.parametrize(('factor', 'anew'), [(0.2, True), (0.3, False), (3.5, False), (4.5, True)])
 def test_another_kind_of_solution_has_errors_of_its_own(factor, anew):
     covariance = np.eye(3)

@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
@@ -34,6 +35,8 @@ _CHUNK = 25  # messages
 # Links between two other processes cannot be seen from here: the graph must have been at rest so long.
 _CALM = 0.25  # s
 _LOOK = 0.1  # s
+# Lost messages are sent again every 3 s by default.
+_ACKED_WITHIN = Duration(seconds=60)
 # The first start of a node after a change compiles its kernels, which takes minutes on a busy machine.
 _LINKED_WITHIN = 900.0  # s
 _RELAY_NODE = '/fault_relay'
@@ -288,10 +291,16 @@ class Graph:
         self.position = index_at(self.system.name, seconds)
 
     def burst(self, count: int) -> None:
-        """Publish the next `count` messages at once, without waiting for anybody."""
+        """Publish the next `count` messages at once, without waiting for anybody; then until all is quiet.
+
+        What the network lost is sent again after seconds, and all that follows of its topic waits for it: a
+        bag that goes on at once, faster than any sensor, would be over before.
+        """
         for topic, _, data in self._source.messages[self.position : self.position + count]:
             self._publishers[topic].publish(data)
         self.position += count
+        for topic, publisher in self._publishers.items():
+            assert publisher.wait_for_all_acked(_ACKED_WITHIN), f'{topic}: not acknowledged'
         self.barrier(count)
 
     def tick(self, seconds: float) -> None:

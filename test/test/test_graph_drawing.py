@@ -14,6 +14,7 @@ from workspace_harness.graph import (
     without_lockstep,
 )
 from workspace_harness.graph_svg import draw
+from workspace_harness.replay import Estimator, cut, live
 from workspace_harness.system import SYSTEMS
 
 from bag_tools.bag import BagWriter, zeroed
@@ -123,3 +124,15 @@ def test_a_graph_is_whole_though_nodes_are_named_late_and_leave_early(monkeypatc
         watch = Watch(p)
         assert [watch() for _ in range(3)] == [True, False, True]
     assert watch.graph == Graph(('filter', 'player'), (edge(('player',), ('filter',)),))
+
+
+def test_the_player_of_a_short_replay_is_seen(bags, tmp_path):
+    """It is over long before a node that has come late is known by name."""
+    bag = cut(bags / 'imu_hand_held.mcap', 0.05, tmp_path / 'short.mcap')
+    estimators = [Estimator('imu_kalman', 'attitude_estimator', 'attitude')]
+    with probe('watch') as eye:
+        watch = Watch(eye)
+        live(bag, estimators, tmp_path / 'live.mcap', watch=watch)
+    topics = {t.name: t for t in watch.graph.topics}
+    assert topics['/imu/data_raw'].publishers == topics['/imu/mag'].publishers == ('player',)
+    assert 'attitude_node' in topics['/imu/data_raw'].subscribers

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -69,6 +69,12 @@ class Watch:
     def graph(self) -> Graph:
         """What was seen, without topics that nobody published."""
         return replace(self.seen, topics=tuple(t for t in self.seen.topics if t.publishers))
+
+    def sees(self, player: str, topics: Collection[str], others: Collection[str]) -> bool:
+        """Return whether `player` is known by name as publisher of all `topics`, and `others` as any ends."""
+        ends = {name for t in self.seen.topics for name in (*t.publishers, *t.subscribers)}
+        played = {t.name for t in self.seen.topics if player in t.publishers and t.subscribers}
+        return set(topics) <= played and set(others) <= ends
 
     def __call__(self) -> bool:
         """Look once, for some time; return whether all ends of topics had names."""

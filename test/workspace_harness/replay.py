@@ -15,14 +15,18 @@ from pathlib import Path
 from subprocess import TimeoutExpired
 from typing import Any
 
+from std_srvs.srv import Trigger
+
 from bag_tools.bag import BagReader, BagWriter
 from bag_tools.content import compare
 from bag_tools.offline import OfflineResult, offline
 from bag_tools.registry import find_ports
 from node_core.testing import Process
+from workspace_harness.graph import Watch
 
 # The first start of a node after a change compiles its kernels, which takes a minute on a busy machine.
-_START_TIMEOUT = ('--wait-timeout', '300')
+_START_LIMIT = 300  # s
+_START_TIMEOUT = ('--wait-timeout', str(_START_LIMIT))
 _POLL = 0.5  # s
 _NAMES_TIMEOUT = 10.0  # s
 
@@ -66,14 +70,14 @@ def live(
     lockstep: bool = True,
     progress: bool = False,
     composed: bool = False,
-    watch: Callable[[], bool] | None = None,
+    watch: Watch | None = None,
     timeout: float = 1800.0,
 ) -> None:
     """Play `bag` through `estimators` as processes and record all their outputs into `out`.
 
-    `rate` None is as fast as possible. With `composed` all estimators share one process. `watch` is called
-    now and then while the graph runs, and at the end until it has seen all. Raises ReplayError when a process
-    ends with another code than 0; all processes are gone afterwards in any case.
+    `rate` None is as fast as possible. With `composed` all estimators share one process. `watch` looks
+    before the bag begins, now and then while it plays, and at the end until it has seen all. Raises
+    ReplayError when a process ends with another code than 0; all processes are gone afterwards in any case.
     """
     topics = [f'/{topic}' for e in estimators for topic in e.outputs.values()]
     pace = ['--fast'] if rate is None else ['--rate', str(rate)]
@@ -101,9 +105,12 @@ def live(
                 '--wait-for',
                 *waited,
                 *([] if progress else ['--quiet']),
+                *([] if watch is None else ['--start-paused']),
                 inherit_stderr=progress,
             )
         )
+        if watch is not None:
+            _resume_once_seen(player, watch, played, waited)
         code = _wait_for_player(player, [recorder, *nodes], timeout, watch)
         if code != 0:
             said = '\n'.join(p.output for p in (player, recorder, *nodes))
@@ -132,9 +139,28 @@ def _composed(estimators: list[Estimator], lockstep: bool) -> Process:
     return Process.node('node_core', 'compose', *names, params={**own, 'lockstep': lockstep}, remaps=remaps)
 
 
-def _wait_for_player(
-    player: Process, others: list[Process], timeout: float, watch: Callable[[], bool] | None
-) -> int:
+def _resume_once_seen(player: Process, watch: Watch, topics: list[str], others: list[str]) -> None:
+    """Let a paused player go once it is seen with its `topics` and `others`: it may be over before."""
+    names = [name.lstrip('/') for name in others]
+    client = watch.probe.node.create_client(Trigger, '/player/resume')
+    try:
+        if not _until(player, watch, client.service_is_ready, _START_LIMIT):
+            return  # its exit code says why
+        _until(player, watch, lambda: watch.sees('player', topics, names), _NAMES_TIMEOUT)
+        _until(player, watch, client.call_async(Trigger.Request()).done, _START_LIMIT)
+    finally:
+        watch.probe.node.destroy_client(client)
+
+
+def _until(player: Process, watch: Watch, condition: Callable[[], bool], limit: float) -> bool:
+    """Look around until `condition` holds, for `limit` s at most and while the player lives."""
+    deadline = time.monotonic() + limit
+    while not (held := condition()) and player.running and time.monotonic() < deadline:
+        watch()
+    return held
+
+
+def _wait_for_player(player: Process, others: list[Process], timeout: float, watch: Watch | None) -> int:
     """Return the player's exit code; raise ReplayError as soon as another process is gone before it."""
     deadline = time.monotonic() + timeout
     while True:
@@ -150,7 +176,7 @@ def _wait_for_player(
             raise ReplayError(f'the player is not done within {timeout:g} s:\n{player.output}')
 
 
-def _look_around(watch: Callable[[], bool] | None) -> None:
+def _look_around(watch: Watch | None) -> None:
     """Call `watch` until it has seen all: a short replay may be over before its nodes are known by name."""
     deadline = time.monotonic() + _NAMES_TIMEOUT
     while watch is not None and not watch() and time.monotonic() < deadline:
